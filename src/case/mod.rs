@@ -1,0 +1,245 @@
+//! Case files: what a user writes, as plain data in SI units, with every default in one place.
+//!
+//! [`CaseFile`] is the file as parsed and proven (module [`read`]); module [`build`] turns it into a
+//! simulation of one dimension. `run.toml` is this same structure written back with all defaults filled in.
+
+pub mod build;
+pub mod builtin;
+pub mod read;
+
+use serde::Serialize;
+
+/// One scene: a closed description of geometry, physics, numerics and output.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CaseFile {
+    /// Short name; also the name of the output folder.
+    pub name: String,
+    /// One line that `sphpetsc cases` prints.
+    pub description: String,
+    /// Number of space dimensions, 2 or 3.
+    pub dimension: usize,
+    /// Particle spacing dx in m.
+    pub spacing: f64,
+    /// Gravitational acceleration in m/s2, `dimension` components; the last axis points up.
+    pub gravity: Vec<f64>,
+    /// Seed of everything random (only particle jitter uses it).
+    pub seed: u64,
+    /// The liquid.
+    pub fluid: Fluid,
+    /// The tank around it, if any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tank: Option<Tank>,
+    /// Fixed solid boxes inside the domain.
+    #[serde(rename = "box", skip_serializing_if = "Vec::is_empty")]
+    pub boxes: Vec<SolidBox>,
+    /// Numerical scheme and its parameters.
+    pub scheme: SchemeParams,
+    /// End time and time step.
+    pub time: TimeParams,
+    /// What is written, and how often.
+    pub output: OutputParams,
+    /// Gauges.
+    #[serde(rename = "probe", skip_serializing_if = "Vec::is_empty")]
+    pub probes: Vec<Probe>,
+    /// What the result is measured against.
+    #[serde(rename = "reference", skip_serializing_if = "Vec::is_empty")]
+    pub references: Vec<Reference>,
+}
+
+/// Material and initial shape of the liquid.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Fluid {
+    /// Reference density in kg/m3.
+    pub density: f64,
+    /// Kinematic viscosity in m2/s; 0 leaves the viscous loop out.
+    pub kinematic_viscosity: f64,
+    /// Axis-aligned boxes filled with liquid at the start; they must not overlap.
+    #[serde(rename = "block")]
+    pub blocks: Vec<FluidBlock>,
+}
+
+/// An axis-aligned box of liquid.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FluidBlock {
+    /// Lower corner in m.
+    pub min: Vec<f64>,
+    /// Upper corner in m.
+    pub max: Vec<f64>,
+    /// Initial velocity in m/s.
+    pub velocity: Vec<f64>,
+}
+
+/// A box-shaped tank; `min` and `max` are its inner wall planes.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Tank {
+    /// Lower inner corner in m.
+    pub min: Vec<f64>,
+    /// Upper inner corner in m.
+    pub max: Vec<f64>,
+    /// Sides without a wall.
+    pub open: Vec<Side>,
+    /// How liquid moves along the walls.
+    pub slip: Slip,
+}
+
+/// A solid box fixed in space.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SolidBox {
+    /// Lower corner in m.
+    pub min: Vec<f64>,
+    /// Upper corner in m.
+    pub max: Vec<f64>,
+}
+
+/// A named side of the tank: x is left to right, y (3D only) front to back, the last axis bottom to top.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Side {
+    /// Lowest x.
+    Left,
+    /// Highest x.
+    Right,
+    /// Lowest y, 3D only.
+    Front,
+    /// Highest y, 3D only.
+    Back,
+    /// Lowest last coordinate.
+    Bottom,
+    /// Highest last coordinate.
+    Top,
+}
+
+/// Tangential condition at walls.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Slip {
+    /// Liquid slides without friction.
+    Free,
+    /// Liquid sticks to the wall through the viscous term.
+    None,
+}
+
+/// Which method, and its parameters.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SchemeParams {
+    /// The method.
+    pub kind: SchemeKind,
+    /// Smoothing kernel.
+    pub kernel: KernelKind,
+    /// Smoothing length over particle spacing, h / dx.
+    pub smoothing_ratio: f64,
+    /// Discrete Laplacian of the pressure equation.
+    pub laplacian: LaplacianKind,
+    /// Share of the density error corrected per step, gamma of Asai et al. (2012).
+    pub density_relaxation: f64,
+    /// Shifting coefficient A of Skillen et al. (2013); 0 leaves shifting out.
+    pub shifting: f64,
+    /// Negative pressures are set to zero (for splashing scenes).
+    pub clip_negative_pressure: bool,
+    /// Approaching pairs closer than this many spacings collide; 0 leaves collisions out.
+    pub collision_distance: f64,
+    /// Coefficient of restitution of those collisions.
+    pub collision_restitution: f64,
+}
+
+/// The numerical methods this build knows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SchemeKind {
+    /// Divergence-free incompressible SPH (ISPH_DF).
+    IsphDf,
+    /// No flow: the discrete operators on given fields (Schwaiger's patch test).
+    PatchTest,
+}
+
+/// Smoothing kernels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum KernelKind {
+    /// Wendland (1995) C2.
+    WendlandC2,
+    /// Cubic spline (Monaghan 1992).
+    CubicSpline,
+    /// Quintic spline (Morris et al. 1997).
+    Quintic,
+}
+
+/// Discrete Laplacians.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LaplacianKind {
+    /// Eq. (3) of Jian et al. (2016), after Schwaiger (2008): exact for linear fields.
+    Schwaiger,
+    /// Shao & Lo (2003): without the correction.
+    ShaoLo,
+}
+
+/// End time and time step control.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TimeParams {
+    /// Flow time to reach, in s.
+    pub until: f64,
+    /// Fixed step in s; adaptive when absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step: Option<f64>,
+    /// Courant number: dt <= courant dx / |v|max.
+    pub courant: f64,
+    /// Largest adaptive step in s; absent: only the stability limits act.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step_max: Option<f64>,
+}
+
+/// What is written, and how often, in s of flow.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct OutputParams {
+    /// Interval of particle files in s; 0 writes none but the first and the last.
+    pub particles: f64,
+    /// Extra instants of particle files in s.
+    pub snapshots: Vec<f64>,
+    /// Interval of the history and gauge rows in s; 0 writes every step.
+    pub samples: f64,
+    /// Interval of checkpoints in s of flow; 0 keeps only the one at the end or on failure.
+    pub checkpoint: f64,
+}
+
+/// One gauge.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Probe {
+    /// Pressure at a point, in Pa.
+    Pressure {
+        /// Column name.
+        name: String,
+        /// Position in m.
+        position: Vec<f64>,
+    },
+    /// Water height on a vertical line, in m above its lowest point.
+    Height {
+        /// Column name.
+        name: String,
+        /// Foot of the line in m.
+        position: Vec<f64>,
+    },
+}
+
+/// A measured or exact series that a history quantity is compared with.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Reference {
+    /// Name in the end table; `--reference NAME=FILE` or, for the only one, `--reference FILE` gives its data.
+    pub name: String,
+    /// Citation of the source.
+    pub source: String,
+    /// Column of history.csv that is compared.
+    pub quantity: String,
+    /// Column of the reference file that holds times.
+    pub time_column: String,
+    /// Seconds per unit of that column.
+    pub time_unit: f64,
+    /// Column of the reference file that holds values.
+    pub value_column: String,
+    /// SI value per unit of that column.
+    pub value_unit: f64,
+    /// Only reference values of at least this (in the file's unit) are compared.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub value_min: Option<f64>,
+}
