@@ -2,11 +2,13 @@
 //!
 //! [`CaseFile`] is the file as parsed and proven (module [`read`]); module [`build`] turns it into a
 //! simulation of one dimension. `run.toml` is this same structure written back with all defaults filled in.
+//! Defaults are the `Default` implementations, constants and functions beside the structures they belong to.
 
 pub mod build;
 pub mod builtin;
 pub mod read;
 
+use clap::ValueEnum;
 use serde::Serialize;
 
 /// One scene: a closed description of geometry, physics, numerics and output.
@@ -44,6 +46,20 @@ pub struct CaseFile {
     /// What the result is measured against.
     #[serde(rename = "reference", skip_serializing_if = "Vec::is_empty")]
     pub references: Vec<Reference>,
+    /// Events whose time is known.
+    #[serde(rename = "arrival", skip_serializing_if = "Vec::is_empty")]
+    pub arrivals: Vec<Arrival>,
+}
+
+impl CaseFile {
+    /// Earth's gravity along the last of `dimension` axes, in m/s2.
+    pub fn default_gravity(dimension: usize) -> Vec<f64> {
+        let mut gravity = vec![0.0; dimension];
+        if let Some(up) = gravity.last_mut() {
+            *up = -9.81;
+        }
+        gravity
+    }
 }
 
 /// Material and initial shape of the liquid.
@@ -56,6 +72,13 @@ pub struct Fluid {
     /// Axis-aligned boxes filled with liquid at the start; they must not overlap.
     #[serde(rename = "block")]
     pub blocks: Vec<FluidBlock>,
+}
+
+impl Fluid {
+    /// Density of fresh water in kg/m3.
+    pub const DENSITY: f64 = 1000.0;
+    /// Kinematic viscosity of water at 20 degrees Celsius in m2/s.
+    pub const KINEMATIC_VISCOSITY: f64 = 1e-6;
 }
 
 /// An axis-aligned box of liquid.
@@ -92,8 +115,9 @@ pub struct SolidBox {
 }
 
 /// A named side of the tank: x is left to right, y (3D only) front to back, the last axis bottom to top.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum Side {
     /// Lowest x.
     Left,
@@ -110,10 +134,12 @@ pub enum Side {
 }
 
 /// Tangential condition at walls.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum Slip {
     /// Liquid slides without friction.
+    #[default]
     Free,
     /// Liquid sticks to the wall through the viscous term.
     None,
@@ -140,11 +166,31 @@ pub struct SchemeParams {
     pub collision_distance: f64,
     /// Coefficient of restitution of those collisions.
     pub collision_restitution: f64,
+    /// Random displacement of the initial lattice, uniform in +-jitter spacings along each axis.
+    pub jitter: f64,
+}
+
+impl Default for SchemeParams {
+    fn default() -> Self {
+        Self {
+            kind: SchemeKind::IsphDf,
+            kernel: KernelKind::WendlandC2,
+            smoothing_ratio: 1.2,
+            laplacian: LaplacianKind::Schwaiger,
+            density_relaxation: 0.02,
+            shifting: 2.0,
+            clip_negative_pressure: false,
+            collision_distance: 0.0,
+            collision_restitution: 0.2,
+            jitter: 0.0,
+        }
+    }
 }
 
 /// The numerical methods this build knows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum SchemeKind {
     /// Divergence-free incompressible SPH (ISPH_DF).
     IsphDf,
@@ -153,8 +199,9 @@ pub enum SchemeKind {
 }
 
 /// Smoothing kernels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum KernelKind {
     /// Wendland (1995) C2.
     WendlandC2,
@@ -165,8 +212,9 @@ pub enum KernelKind {
 }
 
 /// Discrete Laplacians.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum LaplacianKind {
     /// Eq. (3) of Jian et al. (2016), after Schwaiger (2008): exact for linear fields.
     Schwaiger,
@@ -189,6 +237,11 @@ pub struct TimeParams {
     pub step_max: Option<f64>,
 }
 
+impl TimeParams {
+    /// Courant number of adaptive steps.
+    pub const COURANT: f64 = 0.25;
+}
+
 /// What is written, and how often, in s of flow.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OutputParams {
@@ -200,6 +253,18 @@ pub struct OutputParams {
     pub samples: f64,
     /// Interval of checkpoints in s of flow; 0 keeps only the one at the end or on failure.
     pub checkpoint: f64,
+}
+
+impl OutputParams {
+    /// Intervals that suit a run of `until` seconds, without extra snapshots.
+    pub fn for_run(until: f64) -> Self {
+        Self {
+            particles: until / 80.0,
+            snapshots: Vec::new(),
+            samples: until / 2000.0,
+            checkpoint: until / 8.0,
+        }
+    }
 }
 
 /// One gauge.
@@ -242,4 +307,17 @@ pub struct Reference {
     /// Only reference values of at least this (in the file's unit) are compared.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value_min: Option<f64>,
+}
+
+/// An event whose time is known: a history quantity first reaches a level.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Arrival {
+    /// Column of history.csv that is watched.
+    pub quantity: String,
+    /// Value to be reached, in the column's SI unit.
+    pub level: f64,
+    /// When the source says so, in s.
+    pub expected_time: f64,
+    /// Citation of the source.
+    pub source: String,
 }

@@ -1,1 +1,351 @@
-//! placeholder
+//! Assembly of the pressure equation into plain rows.
+//!
+//! Row a of -L, for liquid and wet walls a, with K_ab = -(2 / rho) V F_ab > 0 and equal volumes and densities:
+//!
+//! sum_b (K_ab - C_ab) (p_a - p_b) + (2 / rho) G_a p_a = -source_a                                   (1)
+//!
+//! - C_ab = (1 - s_a) (2 / rho) V F_ab (B_a r_ab) . S_a is the correction of Eq. (3) of Jian et al. (2016), its
+//!   gradient expanded into the same neighbours, so that a row keeps its sparsity; s_a is the surface weight.
+//! - G_a is the diagonal term of the free surface, see [`surface`](crate::terms::surface).
+//! - A dummy's pressure is its wall's plus a known step (see [`boundary`](crate::boundary)): its coefficient goes
+//!   to the wall's column, the step to the right-hand side.
+//!
+//! Unknowns are liquid and wet wall particles that have a neighbour; everything else is left out, not padded.
+//!
+//! Beside this matrix, in general nonsymmetric, there are two symmetric ones. The *symmetric part* takes the pair
+//! weights of (1) without the correction, averaged over both directions: a graph Laplacian plus G, so positive
+//! definite wherever a surface is near. The *sparse* matrix is that graph cut at 1.6 dx, its weights scaled up by
+//! the share of sum K r^2 that the cut removed on a lattice, so that both give the same energy to smooth fields.
+
+use super::{Needs, PressureSystem, Rows};
+use crate::boundary::DummyWalls;
+use crate::case::LaplacianKind;
+use crate::kernel::LatticeSums;
+use crate::operators::{Moments, Surroundings};
+use crate::parallel::Ranks;
+use crate::particles::Particles;
+use crate::terms::surface;
+use rayon::prelude::*;
+
+/// Radius of the sparse matrix in spacings: between the diagonal neighbour (1.41 in 2D) and the second (2).
+pub const NEAR: f64 = 1.6;
+
+/// Marks a particle without an unknown.
+pub const NO_ROW: u32 = u32::MAX;
+
+/// What assembly reads.
+#[derive(Debug, Clone, Copy)]
+pub struct Inputs<'a, const D: usize> {
+    /// Particles; their pressures are the first guess.
+    pub particles: &'a Particles<D>,
+    /// Neighbours and activity.
+    pub surroundings: Surroundings<'a, D>,
+    /// Moments of each particle with a row of neighbours.
+    pub moments: &'a [Moments<D>],
+    /// Surface weight s of each particle.
+    pub surface: &'a [f64],
+    /// Source of each particle in 1/s2, with the sign of div((1/rho) grad p).
+    pub source: &'a [f64],
+    /// Walls.
+    pub walls: &'a DummyWalls<D>,
+    /// Lattice sums.
+    pub lattice: &'a LatticeSums,
+    /// Liquid density in kg/m3.
+    pub density: f64,
+    /// Particle spacing in m.
+    pub spacing: f64,
+    /// Laplacian.
+    pub laplacian: LaplacianKind,
+}
+
+/// Assembles pressure systems; owns the system and every buffer.
+#[derive(Debug, Clone, Default)]
+pub struct Assembler {
+    /// The system of the last [`assemble`](Self::assemble).
+    pub system: PressureSystem,
+    /// Local row of each particle, or [`NO_ROW`].
+    pub row_of: Vec<u32>,
+    /// Particle of each local row.
+    pub particle_of: Vec<u32>,
+    blocks: Vec<Block>,
+    groups: Groups,
+}
+
+/// Rows assembled by one task.
+#[derive(Debug, Clone, Default)]
+struct Block {
+    full: Partial,
+    plain: Partial,
+    sparse: Partial,
+    rhs: Vec<f64>,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Partial {
+    count: Vec<i32>,
+    entries: Vec<(i32, f64)>,
+    open: usize,
+}
+
+impl Partial {
+    fn clear(&mut self) {
+        self.count.clear();
+        self.entries.clear();
+        self.open = 0;
+    }
+
+    fn begin(&mut self) {
+        self.open = self.entries.len();
+    }
+
+    fn push(&mut self, column: i32, value: f64) {
+        self.entries.push((column, value));
+    }
+
+    /// Adds to an entry that the row may already hold: only wall columns, which dummies share.
+    fn add(&mut self, column: i32, value: f64) {
+        match self.entries[self.open..].iter_mut().find(|(c, _)| *c == column) {
+            Some((_, v)) => *v += value,
+            None => self.entries.push((column, value)),
+        }
+    }
+
+    fn end(&mut self) {
+        self.entries[self.open..].sort_unstable_by_key(|(c, _)| *c);
+        self.count.push((self.entries.len() - self.open) as i32);
+    }
+}
+
+const BLOCK: usize = 512;
+
+impl Assembler {
+    /// Fills [`system`](Self::system) from particles.
+    pub fn assemble<const D: usize>(&mut self, inputs: &Inputs<'_, D>, ranks: &Ranks, needs: Needs) {
+        self.number(inputs, ranks);
+        self.blocks.resize_with(self.particle_of.len().div_ceil(BLOCK), Block::default);
+        let (row_of, particle_of) = (&self.row_of, &self.particle_of);
+        let first = self.system.first_row as i32;
+        self.blocks.par_iter_mut().enumerate().for_each(|(k, block)| {
+            block.clear();
+            for &a in &particle_of[k * BLOCK..((k + 1) * BLOCK).min(particle_of.len())] {
+                block.assemble_row(inputs, row_of, first, a as usize, needs);
+            }
+        });
+        join(&mut self.system.full, &self.blocks, |block| &block.full);
+        if needs.symmetric {
+            let mut plain = Rows::default();
+            join(&mut plain, &self.blocks, |block| &block.plain);
+            self.system.symmetric = symmetric_mean(&plain);
+        }
+        if needs.sparse {
+            join(&mut self.system.sparse, &self.blocks, |block| &block.sparse);
+        }
+        self.system.rhs.clear();
+        for block in &self.blocks {
+            self.system.rhs.extend_from_slice(&block.rhs);
+        }
+        self.find_floating(inputs);
+    }
+
+    fn number<const D: usize>(&mut self, inputs: &Inputs<'_, D>, ranks: &Ranks) {
+        let Inputs { particles, surroundings, .. } = inputs;
+        self.row_of.clear();
+        self.row_of.resize(particles.len(), NO_ROW);
+        self.particle_of.clear();
+        self.system.pressure.clear();
+        for a in particles.walls().chain(particles.fluid()) {
+            if surroundings.active[a] && surroundings.active(a).next().is_some() {
+                self.row_of[a] = self.particle_of.len() as u32;
+                self.particle_of.push(a as u32);
+                self.system.pressure.push(particles.pressure[a]);
+            }
+        }
+        self.system.first_row = ranks.first_row(self.particle_of.len());
+    }
+
+    /// Groups of unknowns that are linked with each other but with no surface.
+    fn find_floating<const D: usize>(&mut self, inputs: &Inputs<'_, D>) {
+        let anchored = |row: usize| inputs.surface[self.particle_of[row] as usize] > 0.0;
+        self.groups.unite(&self.system.full);
+        self.system.floating = self.groups.without(anchored);
+    }
+
+    /// Writes the solved pressures back to the particles; particles without an unknown get zero.
+    pub fn scatter<const D: usize>(&self, particles: &mut Particles<D>) {
+        let pressure = &self.system.pressure;
+        particles.pressure.par_iter_mut().zip(&self.row_of).with_min_len(1024).for_each(|(p, &row)| {
+            *p = if row == NO_ROW { 0.0 } else { pressure[row as usize] };
+        });
+    }
+}
+
+impl Block {
+    fn clear(&mut self) {
+        self.full.clear();
+        self.plain.clear();
+        self.sparse.clear();
+        self.rhs.clear();
+    }
+
+    fn assemble_row<const D: usize>(
+        &mut self,
+        inputs: &Inputs<'_, D>,
+        row_of: &[u32],
+        first: i32,
+        a: usize,
+        needs: Needs,
+    ) {
+        let Inputs { particles, surroundings, walls, lattice, .. } = *inputs;
+        let factor = 2.0 / inputs.density;
+        let moments = &inputs.moments[a];
+        let weight = inputs.surface[a];
+        let corrected = inputs.laplacian == LaplacianKind::Schwaiger && weight < 1.0;
+        // (B r) . S = r . (B^T S)
+        let correction = if corrected { moments.correction() } else { None }
+            .map(|b| (1.0 - weight) * factor * b.tr_mul(&moments.defect));
+        let anchor = factor * surface::diagonal(moments, weight, lattice, inputs.spacing);
+        let near = (NEAR * inputs.spacing).powi(2);
+        let near_scale = 1.0 / lattice.near_share;
+        let (walls_end, own) = (particles.walls().end, first + row_of[a] as i32);
+
+        let (mut diagonal, mut near_diagonal, mut rhs) = (anchor, anchor, -inputs.source[a]);
+        let mut plain_diagonal = anchor;
+        self.full.begin();
+        self.plain.begin();
+        self.sparse.begin();
+        for (b, r_ab, vf) in surroundings.active(a) {
+            let plain = -factor * vf;
+            let coefficient = match &correction {
+                Some(c) => plain - vf * r_ab.dot(c),
+                None => plain,
+            };
+            let behind = b >= walls_end && b < particles.solids();
+            let target = if behind { particles.tie[b - walls_end] as usize } else { b };
+            if behind {
+                rhs += coefficient * walls.pressure_step(particles, b);
+                if target == a {
+                    continue;
+                }
+            }
+            let column = first + row_of[target] as i32;
+            diagonal += coefficient;
+            let is_wall = target < walls_end;
+            let put = |rows: &mut Partial, value: f64| match is_wall {
+                true => rows.add(column, value),
+                false => rows.push(column, value),
+            };
+            put(&mut self.full, -coefficient);
+            if needs.symmetric {
+                put(&mut self.plain, -plain);
+                plain_diagonal += plain;
+            }
+            if needs.sparse && r_ab.norm_squared() < near {
+                put(&mut self.sparse, -near_scale * plain);
+                near_diagonal += near_scale * plain;
+            }
+        }
+        self.full.push(own, diagonal);
+        self.full.end();
+        if needs.symmetric {
+            self.plain.push(own, plain_diagonal);
+            self.plain.end();
+        }
+        if needs.sparse {
+            self.sparse.push(own, near_diagonal);
+            self.sparse.end();
+        }
+        self.rhs.push(rhs);
+    }
+}
+
+/// Strings the rows of all blocks together.
+fn join(rows: &mut Rows, blocks: &[Block], part: impl Fn(&Block) -> &Partial) {
+    rows.start.clear();
+    rows.start.push(0);
+    rows.column.clear();
+    rows.value.clear();
+    for block in blocks {
+        let Partial { count, entries, .. } = part(block);
+        for n in count {
+            rows.start.push(rows.start[rows.start.len() - 1] + n);
+        }
+        rows.column.extend(entries.iter().map(|(c, _)| *c));
+        rows.value.extend(entries.iter().map(|(_, v)| *v));
+    }
+}
+
+/// (U + U^T) / 2 off the diagonal, with U's row sums kept: symmetric, and as diagonally dominant as U.
+fn symmetric_mean(plain: &Rows) -> Rows {
+    let transposed = plain.transpose();
+    let mut mean = Rows { start: vec![0], ..Rows::default() };
+    for k in 0..plain.len() {
+        let excess: f64 = plain.row(k).map(|(_, v)| v).sum();
+        let (mut left, mut right) = (plain.row(k).peekable(), transposed.row(k).peekable());
+        let (mut diagonal, mut at) = (excess, mean.column.len());
+        loop {
+            let column = match (left.peek(), right.peek()) {
+                (None, None) => break,
+                (l, r) => l.map_or(usize::MAX, |e| e.0).min(r.map_or(usize::MAX, |e| e.0)),
+            };
+            let here = |entry: &(usize, f64)| entry.0 == column;
+            let sides = [left.next_if(here), right.next_if(here)];
+            let value = 0.5 * sides.iter().flatten().map(|(_, v)| v).sum::<f64>();
+            if column == k {
+                at = mean.column.len();
+            } else {
+                diagonal -= value;
+            }
+            mean.column.push(column as i32);
+            mean.value.push(value);
+        }
+        mean.value[at] = diagonal;
+        mean.start.push(mean.column.len() as i32);
+    }
+    mean
+}
+
+/// Connected components by union-find.
+#[derive(Debug, Clone, Default)]
+struct Groups {
+    parent: Vec<u32>,
+}
+
+impl Groups {
+    fn root(&mut self, mut k: u32) -> u32 {
+        while self.parent[k as usize] != k {
+            let up = self.parent[self.parent[k as usize] as usize];
+            self.parent[k as usize] = up;
+            k = up;
+        }
+        k
+    }
+
+    fn unite(&mut self, rows: &Rows) {
+        self.parent.clear();
+        self.parent.extend(0..rows.len() as u32);
+        for k in 0..rows.len() {
+            for (c, _) in rows.row(k).filter(|(c, _)| *c < k) {
+                let (a, b) = (self.root(k as u32), self.root(c as u32));
+                self.parent[a.max(b) as usize] = a.min(b);
+            }
+        }
+    }
+
+    /// Rows of each component none of whose members is `anchored`.
+    fn without(&mut self, anchored: impl Fn(usize) -> bool) -> Vec<Vec<u32>> {
+        let count = self.parent.len();
+        let mut is_anchored = vec![false; count];
+        for k in 0..count {
+            let root = self.root(k as u32) as usize;
+            is_anchored[root] |= anchored(k);
+        }
+        let mut members: std::collections::BTreeMap<u32, Vec<u32>> = Default::default();
+        for k in 0..count as u32 {
+            let root = self.root(k);
+            if !is_anchored[root as usize] {
+                members.entry(root).or_default().push(k);
+            }
+        }
+        members.into_values().collect()
+    }
+}

@@ -1,0 +1,90 @@
+//! Walls of dummy particles (Koshizuka et al. 1998; Gotoh & Sakai 1999; Jian et al. 2016).
+//!
+//! The first layer of a solid carries pressure unknowns, each with its own row of Eq. (3). Behind it, dummies
+//! fill up the kernel support and carry the consistent Neumann condition dp/dn = rho (g - a_wall) . n:
+//!
+//! p_dummy = p_wall + rho (g - a_wall) . (r_dummy - r_wall)                                      (1)
+//!
+//! so that still water is an exact solution next to any wall. The wall's own predicted velocity is
+//! v* = v_wall + g dt, for the same reason: in still water div v* is then zero everywhere.
+//!
+//! A wall particle takes part only where it is *wet*: where liquid fills at least half of that part of its kernel
+//! support which its solid leaves open. No normals are needed for that, flat walls, edges and corners obey one
+//! rule, and the water line beside a wall is the water line of the particles next to it: on a lattice the wall
+//! particle level with the top row is wet (0.81 of its open support is filled), the one above is dry (0.19).
+//! Half and twice the threshold would wet the wall a whole row above, or leave the top row's neighbour dry.
+
+use crate::kernel::LatticeSums;
+use crate::neighbors::Neighbors;
+use crate::particles::{Particles, Vector};
+use rayon::prelude::*;
+
+/// Share of its open support that liquid must fill for a wall particle to be wet.
+const WET_SHARE: f64 = 0.5;
+
+/// The state of all walls.
+#[derive(Debug, Clone)]
+pub struct DummyWalls<const D: usize> {
+    /// Kernel sum over the liquid, in 1/m^D, from which a wall particle is wet (one entry a wall particle).
+    threshold: Vec<f64>,
+    /// Body force per volume that walls feel, rho (g - a_wall), in N/m3.
+    hydrostatic_gradient: Vector<D>,
+}
+
+impl<const D: usize> DummyWalls<D> {
+    /// Measures the open support of each wall particle; `full` is [`Neighbors`] of the solids alone.
+    pub fn new(
+        particles: &Particles<D>,
+        solids: &Neighbors<D>,
+        lattice: &LatticeSums,
+        volume: f64,
+        hydrostatic_gradient: Vector<D>,
+    ) -> Self {
+        let open = |a: usize| lattice.kernel_sum - lattice.own_share - volume * solids.row(a).kernel_sum();
+        let threshold = particles.walls().map(|a| WET_SHARE * open(a) / volume).collect();
+        Self { threshold, hydrostatic_gradient }
+    }
+
+    /// Kernel sum over the liquid from which particle `a` takes part: always for liquid, never for dummies.
+    #[inline]
+    pub fn threshold(&self, particles: &Particles<D>, a: usize) -> f64 {
+        match a {
+            a if a < self.threshold.len() => self.threshold[a],
+            a if a < particles.solids() => f64::INFINITY,
+            _ => f64::NEG_INFINITY,
+        }
+    }
+
+    /// Marks liquid, wet walls and their dummies in `active` (one entry a particle).
+    pub fn mark_active(&self, particles: &Particles<D>, neighbors: &Neighbors<D>, active: &mut Vec<bool>) {
+        let walls = particles.walls().len();
+        active.clear();
+        active.extend((0..walls).map(|a| !neighbors.row(a).index.is_empty()));
+        for &wall in &particles.tie {
+            active.push(active[wall as usize]);
+        }
+        active.resize(particles.len(), true);
+    }
+
+    /// Pressure of dummy `d` above that of its wall particle, Eq. (1), in Pa.
+    #[inline]
+    pub fn pressure_step(&self, particles: &Particles<D>, d: usize) -> f64 {
+        let wall = particles.tie[d - particles.walls().len()] as usize;
+        self.hydrostatic_gradient.dot(&(particles.position[d] - particles.position[wall]))
+    }
+
+    /// Extends the wall pressures to the dummies, Eq. (1).
+    pub fn extend_pressure(&self, particles: &mut Particles<D>, active: &[bool]) {
+        let dummies = particles.dummies();
+        let mut pressure = std::mem::take(&mut particles.pressure);
+        let (walls, rest) = pressure.split_at_mut(dummies.start);
+        rest[..dummies.len()].par_iter_mut().enumerate().with_min_len(1024).for_each(|(k, p)| {
+            let d = dummies.start + k;
+            *p = match active[d] {
+                true => walls[particles.tie[k] as usize] + self.pressure_step(particles, d),
+                false => 0.0,
+            };
+        });
+        particles.pressure = pressure;
+    }
+}

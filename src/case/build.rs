@@ -1,0 +1,113 @@
+//! From a proven case file to particles and scheme parameters of one dimension.
+
+use super::{CaseFile, SchemeParams, Side};
+use crate::geometry::{Aabb, BlockShape, Lattice, Shapes, TankShape};
+use crate::particles::{Particles, Vector};
+use crate::scheme::isph;
+use crate::terms::collision::Collisions;
+
+/// A scene ready to run.
+#[derive(Debug, Clone)]
+pub struct Scene<const D: usize> {
+    /// All particles at their start.
+    pub particles: Particles<D>,
+    /// Parameters of the ISPH scheme.
+    pub params: isph::Params<D>,
+    /// Inner walls of the tank, if there is one.
+    pub tank: Option<TankShape<D>>,
+    /// One sentence for each length that did not fit the lattice.
+    pub snapped: Vec<String>,
+}
+
+/// Layers of solid particles: 3 in 2D, 4 in 3D (Jian et al. 2016), more where the kernel reaches further.
+fn layers(dimension: usize, support_in_spacings: f64) -> usize {
+    (dimension + 1).max(1 + support_in_spacings.floor() as usize)
+}
+
+/// Builds the scene of a case whose dimension is `D`.
+pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
+    let params = params(case);
+    let shapes = shapes(case);
+    let lattice = Lattice::new(&shapes, case.spacing);
+    let mut particles = lattice.particles(layers(D, params.support() / case.spacing));
+    jitter(&mut particles, case.scheme.jitter * case.spacing, case.seed);
+    Scene { particles, params, tank: shapes.tank, snapped: lattice.snapped }
+}
+
+fn params<const D: usize>(case: &CaseFile) -> isph::Params<D> {
+    let SchemeParams { collision_distance, collision_restitution, .. } = case.scheme;
+    isph::Params {
+        spacing: case.spacing,
+        gravity: vector(&case.gravity),
+        density: case.fluid.density,
+        kinematic_viscosity: case.fluid.kinematic_viscosity,
+        slip: case.tank.as_ref().map(|tank| tank.slip).unwrap_or_default(),
+        kernel: case.scheme.kernel,
+        smoothing_ratio: case.scheme.smoothing_ratio,
+        laplacian: case.scheme.laplacian,
+        density_relaxation: case.scheme.density_relaxation,
+        shifting: case.scheme.shifting,
+        clip_negative_pressure: case.scheme.clip_negative_pressure,
+        collisions: (collision_distance > 0.0).then_some(Collisions {
+            distance: collision_distance * case.spacing,
+            restitution: collision_restitution,
+        }),
+        courant: case.time.courant,
+    }
+}
+
+fn shapes<const D: usize>(case: &CaseFile) -> Shapes<D> {
+    let extent = |min: &[f64], max: &[f64]| Aabb { min: vector(min), max: vector(max) };
+    Shapes {
+        tank: case.tank.as_ref().map(|tank| {
+            let mut open = [[false; 2]; D];
+            for side in &tank.open {
+                let (axis, end) = side_of::<D>(*side);
+                open[axis][end] = true;
+            }
+            TankShape { inner: extent(&tank.min, &tank.max), open }
+        }),
+        boxes: case.boxes.iter().map(|b| extent(&b.min, &b.max)).collect(),
+        blocks: case
+            .fluid
+            .blocks
+            .iter()
+            .map(|b| BlockShape { extent: extent(&b.min, &b.max), velocity: vector(&b.velocity) })
+            .collect(),
+    }
+}
+
+/// Axis of a side, and 0 for its lower or 1 for its upper end.
+fn side_of<const D: usize>(side: Side) -> (usize, usize) {
+    match side {
+        Side::Left => (0, 0),
+        Side::Right => (0, 1),
+        Side::Front => (1, 0),
+        Side::Back => (1, 1),
+        Side::Bottom => (D - 1, 0),
+        Side::Top => (D - 1, 1),
+    }
+}
+
+/// First `D` components of a proven list.
+pub fn vector<const D: usize>(values: &[f64]) -> Vector<D> {
+    Vector::from_fn(|d, _| values[d])
+}
+
+/// Moves each fluid particle by up to `amplitude` m along each axis; the same seed gives the same moves.
+fn jitter<const D: usize>(particles: &mut Particles<D>, amplitude: f64, seed: u64) {
+    if amplitude == 0.0 {
+        return;
+    }
+    // splitmix64 (Steele, Lea & Flood 2014): a generator this small needs no crate and never changes.
+    let mut state = seed;
+    let mut uniform = || {
+        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    };
+    for a in particles.fluid() {
+        particles.position[a] += Vector::from_fn(|_, _| amplitude * uniform());
+    }
+}

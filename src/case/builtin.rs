@@ -1,0 +1,31 @@
+//! The built-in cases: the files under `cases/`, embedded in the program.
+
+use super::read;
+
+macro_rules! cases {
+    ($($name:literal),* $(,)?) => { [$(($name, include_str!(concat!("../../cases/", $name, "/case.toml")))),*] };
+}
+
+/// Names and TOML texts, in the order in which they are listed.
+const CASES: [(&str, &str); 4] = cases!["dam_break_2d", "still_water_2d", "still_water_3d", "patch_test"];
+
+/// The case that runs when none is named.
+pub const DEFAULT: &str = CASES[0].0;
+
+/// All names.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    CASES.iter().map(|&(name, _)| name)
+}
+
+/// The TOML text of a case.
+pub fn find(name: &str) -> Option<&'static str> {
+    CASES.iter().find(|(known, _)| *known == name).map(|&(_, text)| text)
+}
+
+/// Names and one-line descriptions.
+pub fn list() -> impl Iterator<Item = (&'static str, String)> {
+    CASES.iter().map(|&(name, text)| {
+        let case = read::read(text, name, &[]).expect("built-in cases are valid: a test reads each");
+        (name, case.description)
+    })
+}

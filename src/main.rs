@@ -1,0 +1,78 @@
+//! The program: parse, run, report.
+
+use std::io::{Write, stderr};
+use std::process::ExitCode;
+
+use log::{Level, Log, Metadata, Record};
+use sphpetsc::cli::{self, Command};
+use sphpetsc::{Result, run};
+
+fn main() -> ExitCode {
+    std::panic::set_hook(Box::new(report_panic));
+    match std::panic::catch_unwind(execute) {
+        Ok(Ok(())) => ExitCode::SUCCESS,
+        Ok(Err(error)) => {
+            error.to_string().lines().for_each(say);
+            error.exit_code()
+        }
+        Err(_) => ExitCode::FAILURE,
+    }
+}
+
+fn execute() -> Result<()> {
+    match cli::parse(std::env::args_os())? {
+        Command::Text(text) => cli::print(&text),
+        Command::Cases => cli::print(&cli::case_list()),
+        Command::ShowCase(name) => cli::print(cli::case_text(&name)?),
+        Command::Check(args) => {
+            start_log(args.log_level());
+            run::check(&args, &args.load_case()?)
+        }
+        Command::Run(args) => {
+            start_log(args.log_level());
+            run::run(&args, &args.load_case()?)
+        }
+    }
+}
+
+/// One sentence on standard error; where nobody listens there is nobody to tell.
+fn say(sentence: &str) {
+    let _ = writeln!(stderr(), "error: {sentence}");
+}
+
+/// A panic is a defect of this program, and said as such.
+fn report_panic(panic: &std::panic::PanicHookInfo) {
+    let version = env!("CARGO_PKG_VERSION");
+    let what = panic.to_string().replace('\n', " ");
+    say(&format!(
+        "sphpetsc {version} has a defect: it {what}: please report this with the case file and command line"
+    ));
+}
+
+/// Prints what this program logs; other crates' messages are not for the user.
+struct Stderr;
+
+impl Log for Stderr {
+    fn enabled(&self, metadata: &Metadata) -> bool {
+        metadata.target().starts_with("sphpetsc")
+    }
+
+    fn log(&self, record: &Record) {
+        if self.enabled(record.metadata()) {
+            let prefix = match record.level() {
+                Level::Error => "error: ",
+                Level::Warn => "warning: ",
+                _ => "",
+            };
+            let _ = writeln!(stderr(), "{prefix}{}", record.args());
+        }
+    }
+
+    fn flush(&self) {}
+}
+
+fn start_log(level: log::LevelFilter) {
+    // Fails only if a logger is set already, which serves as well.
+    let _ = log::set_logger(&Stderr);
+    log::set_max_level(level);
+}

@@ -1,0 +1,345 @@
+//! Neighbour search: a cell list with particles sorted by cell, and from it rows of neighbours (CSR) with the two
+//! kernel factors of each pair.
+//!
+//! A pair (a, b) is listed in row a if 0 < |r_a - r_b| < support. Each row holds its neighbours in cell order;
+//! the result does not depend on the number of threads.
+
+use crate::kernel::{Kernel, Smoothing};
+use crate::particles::Vector;
+use rayon::prelude::*;
+
+/// Particles sorted into cubic cells at least one support radius wide.
+#[derive(Debug, Clone, Default)]
+pub struct CellList<const D: usize> {
+    grid: Grid<D>,
+    start: Vec<u32>,
+    /// Particle numbers, cell by cell.
+    sorted: Vec<u32>,
+    cell_of: Vec<u32>,
+}
+
+/// Where cells lie: shared by all cell lists of one search.
+#[derive(Debug, Clone, Copy)]
+struct Grid<const D: usize> {
+    min: Vector<D>,
+    inverse_width: f64,
+    extent: [usize; D],
+}
+
+impl<const D: usize> Default for Grid<D> {
+    fn default() -> Self {
+        Self { min: Vector::zeros(), inverse_width: 0.0, extent: [1; D] }
+    }
+}
+
+impl<const D: usize> Grid<D> {
+    /// Covers `positions`, with cells of at least `support`, doubled until there are at most four a particle:
+    /// a few particles far away must not cost memory.
+    fn covering(positions: &[Vector<D>], support: f64) -> Self {
+        let mut min: Vector<D> = Vector::repeat(f64::INFINITY);
+        let mut max: Vector<D> = Vector::repeat(f64::NEG_INFINITY);
+        for r in positions {
+            min = min.inf(r);
+            max = max.sup(r);
+        }
+        if positions.is_empty() {
+            (min, max) = (Vector::zeros(), Vector::zeros());
+        }
+        let cells = |d: usize, width: f64| ((max[d] - min[d]) / width).floor() + 1.0;
+        let mut width = support;
+        while (0..D).map(|d| cells(d, width)).product::<f64>() > 4.0 * positions.len() as f64 + 64.0 {
+            width *= 2.0;
+        }
+        let extent = std::array::from_fn(|d| (cells(d, width) as usize).max(1));
+        Self { min, inverse_width: 1.0 / width, extent }
+    }
+
+    fn coordinates(&self, r: &Vector<D>) -> [usize; D] {
+        std::array::from_fn(|d| {
+            (((r[d] - self.min[d]) * self.inverse_width) as usize).min(self.extent[d] - 1)
+        })
+    }
+
+    fn cell(&self, r: &Vector<D>) -> u32 {
+        self.coordinates(r).iter().zip(&self.extent).fold(0, |n, (c, extent)| n * extent + c) as u32
+    }
+}
+
+impl<const D: usize> CellList<D> {
+    /// Sorts the particles with numbers `first..first + positions.len()` by cell (counting sort).
+    fn sort(&mut self, grid: &Grid<D>, first: usize, positions: &[Vector<D>]) {
+        self.grid = *grid;
+        let cells = grid.extent.iter().product::<usize>();
+        let mut cell_of = std::mem::take(&mut self.cell_of);
+        cell_of.clear();
+        cell_of.extend(positions.iter().map(|r| grid.cell(r)));
+        self.cell_of = cell_of;
+        self.start.clear();
+        self.start.resize(cells + 1, 0);
+        for &c in &self.cell_of {
+            self.start[c as usize + 1] += 1;
+        }
+        for c in 0..cells {
+            self.start[c + 1] += self.start[c];
+        }
+        self.sorted.clear();
+        self.sorted.resize(positions.len(), 0);
+        for (k, &c) in self.cell_of.iter().enumerate() {
+            // start[c] walks through its cell and ends at the next cell's start: shifted back below.
+            self.sorted[self.start[c as usize] as usize] = (first + k) as u32;
+            self.start[c as usize] += 1;
+        }
+        self.start.copy_within(0..cells, 1);
+        self.start[0] = 0;
+    }
+
+    /// Calls `visit` with each run of particle numbers in the cells around `r`. Cells adjacent along the last
+    /// axis are adjacent in memory, so a run spans up to three of them.
+    #[inline]
+    fn around(&self, r: &Vector<D>, mut visit: impl FnMut(&[u32])) {
+        let extent = self.grid.extent;
+        let at = self.grid.coordinates(r);
+        let low: [usize; D] = std::array::from_fn(|d| at[d].saturating_sub(1));
+        let high: [usize; D] = std::array::from_fn(|d| (at[d] + 1).min(extent[d] - 1));
+        let last = D - 1;
+        let mut cell = low;
+        loop {
+            let row = cell[..last].iter().zip(&extent).fold(0, |n, (c, extent)| n * extent + c);
+            let base = row * extent[last];
+            let run = self.start[base + low[last]] as usize..self.start[base + high[last] + 1] as usize;
+            if !run.is_empty() {
+                visit(&self.sorted[run]);
+            }
+            // Next row of cells: an odometer over all axes but the last.
+            let Some(d) = (0..last).rev().find(|&d| cell[d] < high[d]) else { return };
+            cell[d] += 1;
+            cell[d + 1..last].copy_from_slice(&low[d + 1..last]);
+        }
+    }
+}
+
+/// Rows of neighbours of all particles, with their kernel factors.
+#[derive(Debug, Clone, Default)]
+pub struct Neighbors<const D: usize> {
+    start: Vec<usize>,
+    index: Vec<u32>,
+    kernel: Vec<f64>,
+    gradient: Vec<f64>,
+    solid_cells: CellList<D>,
+    fluid_cells: CellList<D>,
+    chunks: Vec<Chunk>,
+}
+
+/// One row: parallel slices over the neighbours b of a particle a.
+#[derive(Debug, Clone, Copy)]
+pub struct Row<'a> {
+    /// Particle number of b.
+    pub index: &'a [u32],
+    /// W_ab in 1/m^D.
+    pub kernel: &'a [f64],
+    /// F_ab = (dW/dr)/r in 1/m^(D+2): grad_a W_ab = F_ab (r_a - r_b).
+    pub gradient: &'a [f64],
+}
+
+/// Rows found by one task; buffers live on between steps.
+#[derive(Debug, Clone, Default)]
+struct Chunk {
+    count: Vec<u32>,
+    index: Vec<u32>,
+    kernel: Vec<f64>,
+    gradient: Vec<f64>,
+}
+
+const CHUNK: usize = 512;
+
+impl<const D: usize> Neighbors<D> {
+    /// Rows for the particles `a` whose kernel sum over fluid neighbours, sum_b W_ab in 1/m^D, is at least
+    /// `threshold(a)`; the others get empty rows. An infinite threshold skips the particle altogether.
+    /// Particles numbered below `solids` are the solids; walls far from the liquid so cost next to nothing.
+    pub fn update<K: Kernel>(
+        &mut self,
+        position: &[Vector<D>],
+        solids: usize,
+        smoothing: &Smoothing<D, K>,
+        support: f64,
+        threshold: impl Fn(usize) -> f64 + Sync,
+    ) {
+        let grid = Grid::covering(position, support);
+        self.solid_cells.sort(&grid, 0, &position[..solids]);
+        self.fluid_cells.sort(&grid, solids, &position[solids..]);
+        let count = position.len();
+        self.chunks.resize_with(count.div_ceil(CHUNK), Chunk::default);
+        let (solid_cells, fluid_cells) = (&self.solid_cells, &self.fluid_cells);
+        let square = support * support;
+        self.chunks.par_iter_mut().enumerate().for_each(|(c, chunk)| {
+            let Chunk { count: counts, index, kernel, gradient } = chunk;
+            counts.clear();
+            index.clear();
+            kernel.clear();
+            gradient.clear();
+            for a in c * CHUNK..((c + 1) * CHUNK).min(count) {
+                let before = index.len();
+                let least = threshold(a);
+                if least < f64::INFINITY {
+                    let r_a = position[a];
+                    let mut wetted = 0.0;
+                    let mut gather = |run: &[u32]| {
+                        for &b in run {
+                            let distance2 = (r_a - position[b as usize]).norm_squared();
+                            if distance2 < square && b as usize != a {
+                                let (w, f) = smoothing.pair(distance2.sqrt());
+                                index.push(b);
+                                kernel.push(w);
+                                gradient.push(f);
+                                wetted += w;
+                            }
+                        }
+                        wetted
+                    };
+                    let mut fluid_sum = 0.0;
+                    fluid_cells.around(&r_a, |run| fluid_sum = gather(run));
+                    if fluid_sum >= least {
+                        solid_cells.around(&r_a, |run| {
+                            gather(run);
+                        });
+                    } else {
+                        index.truncate(before);
+                        kernel.truncate(before);
+                        gradient.truncate(before);
+                    }
+                }
+                counts.push((index.len() - before) as u32);
+            }
+        });
+        self.join(count);
+    }
+
+    fn join(&mut self, count: usize) {
+        self.start.clear();
+        self.start.push(0);
+        let mut end = 0;
+        for chunk in &self.chunks {
+            for &n in &chunk.count {
+                end += n as usize;
+                self.start.push(end);
+            }
+        }
+        debug_assert_eq!(self.start.len(), count + 1);
+        self.index.resize(end, 0);
+        self.kernel.resize(end, 0.0);
+        self.gradient.resize(end, 0.0);
+        let mut parts = (&mut self.index[..], &mut self.kernel[..], &mut self.gradient[..]);
+        let mut jobs = Vec::with_capacity(self.chunks.len());
+        for chunk in &self.chunks {
+            let n = chunk.index.len();
+            let (i, i_rest) = parts.0.split_at_mut(n);
+            let (w, w_rest) = parts.1.split_at_mut(n);
+            let (f, f_rest) = parts.2.split_at_mut(n);
+            parts = (i_rest, w_rest, f_rest);
+            jobs.push((chunk, i, w, f));
+        }
+        jobs.into_par_iter().for_each(|(chunk, index, kernel, gradient)| {
+            index.copy_from_slice(&chunk.index);
+            kernel.copy_from_slice(&chunk.kernel);
+            gradient.copy_from_slice(&chunk.gradient);
+        });
+    }
+
+    /// Neighbours of particle `a`.
+    #[inline]
+    pub fn row(&self, a: usize) -> Row<'_> {
+        let range = self.start[a]..self.start[a + 1];
+        Row {
+            index: &self.index[range.clone()],
+            kernel: &self.kernel[range.clone()],
+            gradient: &self.gradient[range],
+        }
+    }
+
+    /// Number of listed pairs (each direction counted).
+    pub fn pairs(&self) -> usize {
+        self.index.len()
+    }
+
+    /// Numbers of `position` (from 0) in cell order: the order that makes neighbours close in memory. Uses this list's
+    /// buffers and so forgets its cells.
+    pub fn cell_order(&mut self, position: &[Vector<D>], support: f64) -> &[u32] {
+        self.fluid_cells.sort(&Grid::covering(position, support), 0, position);
+        &self.fluid_cells.sorted
+    }
+}
+
+impl<'a> Row<'a> {
+    /// sum_b W_ab in 1/m^D.
+    pub fn kernel_sum(self) -> f64 {
+        self.kernel.iter().sum()
+    }
+
+    /// (b, W_ab, F_ab) of each neighbour.
+    #[inline]
+    pub fn iter(self) -> impl Iterator<Item = (usize, f64, f64)> + 'a {
+        self.index.iter().zip(self.kernel).zip(self.gradient).map(|((&b, &w), &f)| (b as usize, w, f))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernel::WendlandC2;
+
+    /// A deterministic scatter in [0, 1)^D (splitmix64).
+    fn scatter<const D: usize>(count: usize) -> Vec<Vector<D>> {
+        let mut state = 7_u64;
+        let mut next = || {
+            state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+            let mut z = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        (0..count).map(|_| Vector::from_fn(|_, _| next())).collect()
+    }
+
+    fn naive<const D: usize>(position: &[Vector<D>], a: usize, support: f64) -> Vec<u32> {
+        (0..position.len())
+            .filter(|&b| b != a && (position[a] - position[b]).norm_squared() < support * support)
+            .map(|b| b as u32)
+            .collect()
+    }
+
+    fn agrees_with_naive<const D: usize>(position: &[Vector<D>], support: f64) {
+        let smoothing = Smoothing::<D, WendlandC2>::new(support / 2.0);
+        let mut neighbors = Neighbors::default();
+        // Twice with different splits: buffers of the first search must not leak into the second.
+        for solids in [0, position.len() / 3] {
+            let threshold = |a| if a % 5 == 3 { f64::INFINITY } else { 0.0 };
+            neighbors.update(position, solids, &smoothing, support, threshold);
+            for a in 0..position.len() {
+                let mut found = neighbors.row(a).index.to_vec();
+                found.sort_unstable();
+                let expected = if a % 5 == 3 { vec![] } else { naive(position, a, support) };
+                assert_eq!(found, expected, "row {a}");
+            }
+        }
+    }
+
+    #[test]
+    fn finds_what_brute_force_finds() {
+        agrees_with_naive(&scatter::<2>(700), 0.11);
+        agrees_with_naive(&scatter::<3>(1200), 0.21);
+        agrees_with_naive::<2>(&[], 0.1);
+        agrees_with_naive(&[Vector::new(3.0, 4.0)], 0.1);
+    }
+
+    #[test]
+    fn pairs_exactly_on_the_radius_are_outside() {
+        let position: Vec<_> = (0..30).map(|k| Vector::<2>::new(0.25 * k as f64, 0.0)).collect();
+        agrees_with_naive(&position, 0.5);
+    }
+
+    #[test]
+    fn a_particle_far_away_costs_no_memory() {
+        let mut position = scatter::<3>(300);
+        position.push(Vector::repeat(1e6));
+        agrees_with_naive(&position, 0.2);
+    }
+}

@@ -1,0 +1,415 @@
+//! What is written while a run goes on: histories and gauges, solver log, particle files, and at its end the
+//! comparison with references.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::folder::RunFolder;
+use super::probes::Gauges;
+use super::quantities::{self, Scene};
+use super::table::{Cell, Table};
+use super::vtk::{Field, FieldData, Pvd, write_vtp};
+use crate::case::{Arrival, CaseFile, Reference};
+use crate::particles::Vector;
+use crate::scheme::StepReport;
+use crate::scheme::isph::Params;
+use crate::simulation::{Observer, Simulation};
+use crate::{Error, Result};
+
+/// Times at which something is due: every `interval`, and listed instants.
+#[derive(Debug, Clone)]
+struct Schedule {
+    interval: f64,
+    next: f64,
+    instants: Vec<f64>,
+}
+
+impl Schedule {
+    /// `interval` 0: only `instants`. The time `since` has been served already.
+    fn new(interval: f64, mut instants: Vec<f64>, since: f64) -> Self {
+        instants.retain(|t| *t > since);
+        instants.sort_by(|a, b| b.total_cmp(a));
+        let next = if interval > 0.0 { interval * ((since / interval).floor() + 1.0) } else { f64::INFINITY };
+        Self { interval, next, instants }
+    }
+
+    /// Is anything due at `time`? Serves it.
+    fn due(&mut self, time: f64) -> bool {
+        let mut due = false;
+        while time >= self.next {
+            self.next += self.interval;
+            due = true;
+        }
+        while self.instants.pop_if(|t| *t <= time).is_some() {
+            due = true;
+        }
+        due
+    }
+}
+
+/// history.csv and probes.csv, and the energy watch.
+pub struct History<const D: usize> {
+    table: Table,
+    probes: Option<Table>,
+    gauges: Gauges<D>,
+    every_step: bool,
+    schedule: Schedule,
+    params: Params<D>,
+    energy: Energy,
+}
+
+/// The liquid's total energy in J over a run.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Energy {
+    /// At the start, above the lowest point of the scene.
+    pub initial: f64,
+    /// Lowest so far.
+    pub lowest: f64,
+    /// Largest rise above an earlier value.
+    pub largest_rise: f64,
+}
+
+impl<const D: usize> History<D> {
+    /// Opens the tables of a run, or those of a run resumed at time `since`.
+    pub fn new(folder: &RunFolder, case: &CaseFile, params: &Params<D>, since: Option<f64>) -> Result<Self> {
+        let open = |name: &str, columns: &[String]| match since {
+            None => Table::create(&folder.join(name), columns),
+            Some(time) => Table::resume(&folder.join(name), columns, time),
+        };
+        let with_time = |names: Vec<String>| [vec!["time_s".to_owned()], names].concat();
+        let columns = with_time(quantities::history::<D>().iter().map(|(name, _)| (*name).into()).collect());
+        let probes = match case.probes.is_empty() {
+            true => None,
+            false => Some(open("probes.csv", &with_time(Gauges::<D>::columns(&case.probes)))?),
+        };
+        Ok(Self {
+            table: open("history.csv", &columns)?,
+            probes,
+            gauges: Gauges::new(&case.probes, params),
+            every_step: case.output.samples == 0.0,
+            schedule: Schedule::new(case.output.samples, vec![], since.unwrap_or(0.0)),
+            params: params.clone(),
+            energy: Energy::default(),
+        })
+    }
+
+    fn scene<'a>(&self, simulation: &'a Simulation<D>) -> Scene<'a, D> {
+        let mass = self.params.density * self.params.spacing.powi(D as i32);
+        Scene::of(simulation, mass, self.params.gravity, self.params.spacing)
+    }
+
+    /// The row of the initial state.
+    pub fn start(&mut self, simulation: &Simulation<D>) -> Result<()> {
+        self.watch_energy(simulation);
+        self.sample(simulation)
+    }
+
+    fn watch_energy(&mut self, simulation: &Simulation<D>) {
+        let scene = self.scene(simulation);
+        let now = quantities::kinetic_energy(&scene) + quantities::potential_energy(&scene);
+        let energy = &mut self.energy;
+        if energy.initial == 0.0 {
+            (energy.initial, energy.lowest) = (now, now);
+        }
+        energy.lowest = energy.lowest.min(now);
+        energy.largest_rise = energy.largest_rise.max(now - energy.lowest);
+    }
+
+    fn sample(&mut self, simulation: &Simulation<D>) -> Result<()> {
+        let scene = self.scene(simulation);
+        let time = Cell::Number(simulation.time);
+        let values = quantities::history::<D>().map(|(_, value)| Cell::Number(value(&scene)));
+        self.table.row(&[&[time], &values[..]].concat())?;
+        if let Some(probes) = &mut self.probes {
+            let values = self.gauges.read(simulation);
+            probes.row(&[&[Cell::Number(simulation.time)], &values[..]].concat())?;
+        }
+        Ok(())
+    }
+
+    /// Energies of the run so far.
+    pub fn energy(&self) -> Energy {
+        self.energy
+    }
+
+    /// Writes out what is pending.
+    pub fn flush(&mut self) -> Result<()> {
+        self.table.flush()?;
+        self.probes.as_mut().map_or(Ok(()), Table::flush)
+    }
+}
+
+impl<const D: usize> Observer<D> for History<D> {
+    fn observe(&mut self, simulation: &Simulation<D>, _: &StepReport) -> Result<()> {
+        self.watch_energy(simulation);
+        match self.every_step || self.schedule.due(simulation.time) {
+            true => self.sample(simulation),
+            false => Ok(()),
+        }
+    }
+}
+
+/// solver.csv: a row a pressure solve; and pressure systems saved on demand.
+pub struct SolverLog {
+    table: Table,
+    systems: Schedule,
+    folder: std::path::PathBuf,
+}
+
+const SOLVER_COLUMNS: [&str; 12] = [
+    "time_s",
+    "step",
+    "dt_s",
+    "unknowns",
+    "nonzeros",
+    "iterations",
+    "inner_iterations",
+    "residual",
+    "reason",
+    "setup_s",
+    "solve_s",
+    "fallback",
+];
+
+impl SolverLog {
+    /// Opens the table; `systems` are the instants whose pressure systems are kept.
+    pub fn new(folder: &RunFolder, systems: Option<Vec<f64>>, since: Option<f64>) -> Result<Self> {
+        let path = folder.join("solver.csv");
+        let table = match since {
+            None => Table::create(&path, &SOLVER_COLUMNS)?,
+            Some(time) => Table::resume(&path, &SOLVER_COLUMNS, time)?,
+        };
+        let systems = Schedule::new(0.0, systems.unwrap_or_default(), since.unwrap_or(0.0));
+        Ok(Self { table, systems, folder: folder.join("systems") })
+    }
+
+    /// Writes out what is pending.
+    pub fn flush(&mut self) -> Result<()> {
+        self.table.flush()
+    }
+}
+
+impl<const D: usize> Observer<D> for SolverLog {
+    fn observe(&mut self, simulation: &Simulation<D>, report: &StepReport) -> Result<()> {
+        if self.systems.due(simulation.time) {
+            simulation.scheme.save_system(&self.folder, &format!("t{:.6}", simulation.time))?;
+        }
+        let Some(solve) = &report.solve else { return Ok(()) };
+        if let Some(fallback) = &solve.fallback {
+            log::warn!("step {} at t = {:.6} s: {fallback}", simulation.step, simulation.time);
+        }
+        self.table.row(&[
+            simulation.time.into(),
+            simulation.step.into(),
+            simulation.dt.into(),
+            solve.unknowns.into(),
+            solve.nonzeros.into(),
+            solve.iterations.into(),
+            solve.inner_iterations.into(),
+            solve.residual.into(),
+            solve.reason.as_str().into(),
+            solve.setup_s.into(),
+            solve.solve_s.into(),
+            solve.fallback.as_deref().unwrap_or("none").into(),
+        ])
+    }
+}
+
+/// Particle files and their collection.
+pub struct Snapshots<const D: usize> {
+    pvd: Pvd,
+    schedule: Schedule,
+}
+
+impl<const D: usize> Snapshots<D> {
+    /// Collection of a run, or that of a run resumed at time `since`.
+    pub fn new(folder: &RunFolder, case: &CaseFile, since: Option<f64>) -> Result<Self> {
+        let path = folder.join("particles.pvd");
+        let pvd = match since {
+            None => Pvd::create(&path),
+            Some(time) => Pvd::resume(&path, time)?,
+        };
+        let instants = case.output.snapshots.clone();
+        Ok(Self { pvd, schedule: Schedule::new(case.output.particles, instants, since.unwrap_or(0.0)) })
+    }
+
+    /// Writes the present state into the collection.
+    pub fn write(&mut self, simulation: &Simulation<D>) -> Result<()> {
+        self.pvd.snapshot(simulation.time, |path| write_particles(path, simulation))
+    }
+
+    /// Writes a failing state beside the collection.
+    pub fn write_failed(&self, folder: &RunFolder, simulation: &Simulation<D>) -> Result<()> {
+        write_particles(&folder.join("particles").join("failed.vtp"), simulation)
+    }
+}
+
+impl<const D: usize> Observer<D> for Snapshots<D> {
+    fn observe(&mut self, simulation: &Simulation<D>, _: &StepReport) -> Result<()> {
+        match self.schedule.due(simulation.time) {
+            true => self.write(simulation),
+            false => Ok(()),
+        }
+    }
+}
+
+/// Liquid and wall particles (dummies carry nothing of their own) as a VTP file.
+fn write_particles<const D: usize>(path: &Path, simulation: &Simulation<D>) -> Result<()> {
+    let (particles, fields) = (&simulation.particles, simulation.scheme.fields());
+    let shown: Vec<usize> = particles.fluid().chain(particles.walls()).collect();
+    let flat = |values: &[Vector<D>]| -> Vec<f64> {
+        shown.iter().flat_map(|&a| values[a].iter().copied()).collect()
+    };
+    // Before the first step a scheme has no fields, and a failing state may have outgrown them.
+    let scalar = |values: &[f64], missing: f64| -> Vec<f64> {
+        shown.iter().map(|&a| values.get(a).copied().unwrap_or(missing)).collect()
+    };
+    let pressure = scalar(&particles.pressure, 0.0);
+    let (crowding, surface) = (scalar(fields.crowding, 1.0), scalar(fields.surface, 0.0));
+    let velocity = flat(&particles.velocity);
+    let kind: Vec<u8> = shown.iter().map(|&a| particles.kind(a) as u8).collect();
+    let id: Vec<u64> = shown.iter().map(|&a| particles.id[a]).collect();
+    write_vtp(
+        path,
+        D,
+        &flat(&particles.position),
+        &[
+            Field { name: "velocity", data: FieldData::Vector(&velocity, D) },
+            Field { name: "pressure", data: FieldData::Scalar(&pressure) },
+            Field { name: "crowding", data: FieldData::Scalar(&crowding) },
+            Field { name: "surface", data: FieldData::Scalar(&surface) },
+            Field { name: "kind", data: FieldData::Byte(&kind) },
+            Field { name: "id", data: FieldData::Id(&id) },
+        ],
+    )
+}
+
+/// How a finished run compares with what its case refers to.
+#[derive(Debug, Clone, Default)]
+pub struct Comparison {
+    /// Differences from measured series.
+    pub series: Vec<SeriesError>,
+    /// Times of named events.
+    pub arrivals: Vec<ArrivalTime>,
+}
+
+/// Difference of a history column from a reference series.
+#[derive(Debug, Clone)]
+pub struct SeriesError {
+    /// Name of the reference.
+    pub name: String,
+    /// Values compared.
+    pub count: usize,
+    /// Root mean square difference over the mean of the reference values.
+    pub rms: f64,
+    /// Largest difference over the mean of the reference values.
+    pub largest: f64,
+    /// Time shift in s of the run that makes the rms smallest, and that rms.
+    pub best_shift: (f64, f64),
+}
+
+/// When a quantity reached a level.
+#[derive(Debug, Clone)]
+pub struct ArrivalTime {
+    /// What was expected.
+    pub expected: Arrival,
+    /// When it happened, in s; `None`: not within the run.
+    pub time: Option<f64>,
+}
+
+impl Comparison {
+    /// Compares history.csv of a run with the case's references and arrivals.
+    pub fn of(folder: &RunFolder, case: &CaseFile, files: &[(&Reference, &Path)]) -> Result<Self> {
+        if files.is_empty() && case.arrivals.is_empty() {
+            return Ok(Self::default());
+        }
+        let history = read_columns(&folder.join("history.csv"))?;
+        let times = column(&history, "time_s", "history.csv")?;
+        let values = |quantity: &str| {
+            let name = history.keys().find(|k| *k == quantity || k.starts_with(&format!("{quantity}_")));
+            column(&history, name.map_or(quantity, String::as_str), "history.csv")
+        };
+        let mut comparison = Self::default();
+        for (reference, file) in files {
+            let run: Vec<(f64, f64)> =
+                times.iter().copied().zip(values(&reference.quantity)?.iter().copied()).collect();
+            comparison.series.push(SeriesError::new(reference, file, &run)?);
+        }
+        for expected in &case.arrivals {
+            // A particle stands for water up to half a spacing ahead of it and stops half a spacing from a wall.
+            let reached = |value: f64| value >= expected.level - case.spacing;
+            let found = values(&expected.quantity)?.iter().position(|v| reached(*v));
+            comparison.arrivals.push(ArrivalTime { expected: expected.clone(), time: found.map(|k| times[k]) });
+        }
+        Ok(comparison)
+    }
+}
+
+impl SeriesError {
+    fn new(reference: &Reference, file: &Path, run: &[(f64, f64)]) -> Result<Self> {
+        let columns = read_columns(file)?;
+        let origin = file.display().to_string();
+        let times = column(&columns, &reference.time_column, &origin)?;
+        let values = column(&columns, &reference.value_column, &origin)?;
+        let end = run.last().map_or(0.0, |(t, _)| *t);
+        let wanted: Vec<(f64, f64)> = times
+            .iter()
+            .zip(values)
+            .filter(|(_, v)| reference.value_min.is_none_or(|least| **v >= least))
+            .map(|(t, v)| (t * reference.time_unit, v * reference.value_unit))
+            .filter(|(t, _)| *t <= end)
+            .collect();
+        let mean = wanted.iter().map(|(_, v)| v.abs()).sum::<f64>() / wanted.len().max(1) as f64;
+        let errors = |shift: f64| wanted.iter().map(move |(t, v)| (interpolate(run, t - shift) - v) / mean);
+        let rms = |shift: f64| {
+            (errors(shift).map(|e| e * e).sum::<f64>() / wanted.len().max(1) as f64).sqrt()
+        };
+        // A tenth of the compared span either way, in five hundred steps: finer than the samples.
+        let span = wanted.last().map_or(0.0, |(t, _)| 0.1 * t);
+        let best = (-500..=500)
+            .map(|k| span * f64::from(k) / 500.0)
+            .map(|shift| (shift, rms(shift)))
+            .min_by(|a, b| a.1.total_cmp(&b.1));
+        Ok(Self {
+            name: reference.name.clone(),
+            count: wanted.len(),
+            rms: rms(0.0),
+            largest: errors(0.0).map(f64::abs).fold(0.0, f64::max),
+            best_shift: best.unwrap_or_default(),
+        })
+    }
+}
+
+/// Linear interpolation in a series with ascending times; constant beyond its ends.
+fn interpolate(series: &[(f64, f64)], time: f64) -> f64 {
+    let after = series.partition_point(|(t, _)| *t < time);
+    match (after.checked_sub(1).map(|k| series[k]), series.get(after)) {
+        (Some((t0, v0)), Some(&(t1, v1))) => v0 + (v1 - v0) * (time - t0) / (t1 - t0),
+        (Some((_, v)), None) | (None, Some(&(_, v))) => v,
+        (None, None) => f64::NAN,
+    }
+}
+
+/// Columns of a CSV file by name; words become NaN.
+fn read_columns(path: &Path) -> Result<BTreeMap<String, Vec<f64>>> {
+    let text = std::fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
+    let mut lines = text.lines();
+    let names: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
+    let mut columns: BTreeMap<String, Vec<f64>> =
+        names.iter().map(|name| ((*name).to_owned(), vec![])).collect();
+    for line in lines.filter(|line| !line.trim().is_empty()) {
+        for (name, cell) in names.iter().zip(line.split(',')) {
+            if let Some(column) = columns.get_mut(*name) {
+                column.push(cell.trim().parse().unwrap_or(f64::NAN));
+            }
+        }
+    }
+    Ok(columns)
+}
+
+fn column<'a>(columns: &'a BTreeMap<String, Vec<f64>>, name: &str, file: &str) -> Result<&'a Vec<f64>> {
+    columns.get(name).ok_or_else(|| {
+        let known = columns.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+        Error::Input(format!("{file} has no column {name}: it has {known}"))
+    })
+}

@@ -1,0 +1,181 @@
+//! Particles as a structure of arrays, laid out as one rank of many.
+//!
+//! Order in every array: wall | dummy | fluid | ghost. Walls and dummies keep their places for a whole run;
+//! the fluid may be reordered and shrink; ghosts (copies of other ranks' particles, none on one rank) come last.
+
+use std::ops::Range;
+
+/// A vector in `D` dimensions.
+pub type Vector<const D: usize> = nalgebra::SVector<f64, D>;
+/// A `D` x `D` matrix.
+pub type Matrix<const D: usize> = nalgebra::SMatrix<f64, D, D>;
+
+/// What a particle is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Kind {
+    /// Liquid.
+    Fluid = 0,
+    /// First layer of a solid, half a spacing behind its face: carries a pressure unknown where it is wet.
+    Wall = 1,
+    /// Deeper layer of a solid: its pressure follows from the wall particle it is tied to.
+    Dummy = 2,
+}
+
+/// All particles of one rank. Arrays have one entry a particle unless stated otherwise.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Particles<const D: usize> {
+    /// Position in m.
+    pub position: Vec<Vector<D>>,
+    /// Velocity in m/s.
+    pub velocity: Vec<Vector<D>>,
+    /// Pressure in Pa.
+    pub pressure: Vec<f64>,
+    /// Number that stays with a particle for the whole run.
+    pub id: Vec<u64>,
+    /// For each dummy (length = dummies): the wall particle whose pressure it extends.
+    pub tie: Vec<u32>,
+    /// For each wall and dummy particle: unit normal into the liquid.
+    pub normal: Vec<Vector<D>>,
+    /// For each wall and dummy particle: distance to the solid's face in m (half a spacing for walls).
+    pub depth: Vec<f64>,
+    walls: usize,
+}
+
+impl<const D: usize> Particles<D> {
+    /// Solid particles in the order wall | dummy; `tie` numbers walls.
+    pub fn from_solid(position: Vec<Vector<D>>, normal: Vec<Vector<D>>, depth: Vec<f64>, tie: Vec<u32>) -> Self {
+        let count = position.len();
+        Self {
+            velocity: vec![Vector::zeros(); count],
+            pressure: vec![0.0; count],
+            id: (0..count as u64).collect(),
+            walls: count - tie.len(),
+            position,
+            tie,
+            normal,
+            depth,
+        }
+    }
+
+    /// Appends one fluid particle.
+    pub fn push_fluid(&mut self, position: Vector<D>, velocity: Vector<D>) {
+        self.id.push(self.id.len() as u64);
+        self.position.push(position);
+        self.velocity.push(velocity);
+        self.pressure.push(0.0);
+    }
+
+    /// Number of particles of all kinds.
+    pub fn len(&self) -> usize {
+        self.position.len()
+    }
+
+    /// True if there is no particle at all.
+    pub fn is_empty(&self) -> bool {
+        self.position.is_empty()
+    }
+
+    /// Index range of wall particles.
+    pub fn walls(&self) -> Range<usize> {
+        0..self.walls
+    }
+
+    /// Index range of dummy particles.
+    pub fn dummies(&self) -> Range<usize> {
+        self.walls..self.solids()
+    }
+
+    /// Number of wall and dummy particles, which is also the index of the first fluid particle.
+    pub fn solids(&self) -> usize {
+        self.walls + self.tie.len()
+    }
+
+    /// Index range of fluid particles.
+    pub fn fluid(&self) -> Range<usize> {
+        self.solids()..self.len()
+    }
+
+    /// Kind of particle `a`.
+    pub fn kind(&self, a: usize) -> Kind {
+        match a {
+            a if a < self.walls => Kind::Wall,
+            a if a < self.solids() => Kind::Dummy,
+            _ => Kind::Fluid,
+        }
+    }
+
+    /// Puts the fluid into the order `order[new] = old` (indices within the fluid range).
+    /// `scratch` is reused between calls.
+    pub fn reorder_fluid(&mut self, order: &[u32], scratch: &mut ReorderScratch<D>) {
+        let first = self.solids();
+        permute(&mut self.position[first..], order, &mut scratch.vectors);
+        permute(&mut self.velocity[first..], order, &mut scratch.vectors);
+        permute(&mut self.pressure[first..], order, &mut scratch.scalars);
+        permute(&mut self.id[first..], order, &mut scratch.ids);
+    }
+
+    /// Keeps only the fluid particles for which `keep(index)` holds, in their order; returns how many left.
+    pub fn retain_fluid(&mut self, keep: impl Fn(usize) -> bool) -> usize {
+        let mut kept = self.solids();
+        for a in self.fluid() {
+            if keep(a) {
+                self.position[kept] = self.position[a];
+                self.velocity[kept] = self.velocity[a];
+                self.pressure[kept] = self.pressure[a];
+                self.id[kept] = self.id[a];
+                kept += 1;
+            }
+        }
+        let removed = self.len() - kept;
+        self.position.truncate(kept);
+        self.velocity.truncate(kept);
+        self.pressure.truncate(kept);
+        self.id.truncate(kept);
+        removed
+    }
+}
+
+/// Buffers of [`Particles::reorder_fluid`].
+#[derive(Debug, Clone, Default)]
+pub struct ReorderScratch<const D: usize> {
+    vectors: Vec<Vector<D>>,
+    scalars: Vec<f64>,
+    ids: Vec<u64>,
+}
+
+fn permute<T: Copy>(values: &mut [T], order: &[u32], scratch: &mut Vec<T>) {
+    scratch.clear();
+    scratch.extend(order.iter().map(|&old| values[old as usize]));
+    values.copy_from_slice(scratch);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn three() -> Particles<2> {
+        let mut particles = Particles::default();
+        for k in 0..3 {
+            particles.push_fluid(Vector::new(k as f64, 0.0), Vector::new(0.0, k as f64));
+        }
+        particles
+    }
+
+    #[test]
+    fn reordering_moves_every_field_together() {
+        let mut particles = three();
+        particles.reorder_fluid(&[2, 0, 1], &mut ReorderScratch::default());
+        assert_eq!(particles.id, [2, 0, 1]);
+        assert_eq!(particles.position[0].x, 2.0);
+        assert_eq!(particles.velocity[0].y, 2.0);
+    }
+
+    #[test]
+    fn removed_particles_leave_the_others_in_order() {
+        let mut particles = three();
+        assert_eq!(particles.retain_fluid(|a| a != 1), 1);
+        assert_eq!(particles.id, [0, 2]);
+        assert_eq!(particles.len(), 2);
+    }
+}

@@ -1,0 +1,185 @@
+//! Distributed sparse matrices and their null spaces.
+
+use std::mem::MaybeUninit;
+use std::path::Path;
+use std::ptr;
+use std::rc::Rc;
+
+use super::error::check;
+use super::ffi;
+use super::session::Session;
+use super::vec::{BinaryFile, Vector};
+use crate::{Error, Result};
+
+/// A square sparse matrix; each rank owns consecutive rows.
+pub struct Matrix {
+    raw: ffi::Mat,
+    session: Rc<Session>,
+}
+
+impl Matrix {
+    /// Copies this rank's rows, given as compressed rows with global column numbers, in one go.
+    ///
+    /// # Errors
+    /// [`Error::Run`] when the three lists do not describe rows of a square matrix.
+    pub fn from_rows(session: &Rc<Session>, start: &[i32], column: &[i32], value: &[f64]) -> Result<Self> {
+        let (mut local, mut global) = (start.len().saturating_sub(1) as ffi::PetscInt, ffi::PETSC_DECIDE);
+        // SAFETY: both numbers outlive the call; it only adds up `local` over the ranks.
+        check(unsafe { ffi::PetscSplitOwnership(session.comm(), &raw mut local, &raw mut global) })?;
+        check_rows(start, column, value, global)?;
+        let mut matrix = Self { raw: ptr::null_mut(), session: Rc::clone(session) };
+        // SAFETY: a new object is written to `raw`; `Drop` destroys it also when a later call fails.
+        // The lists were checked above; PETSc copies them. Of the two last calls the one that does
+        // not fit the type (one rank: "seqaij", several: "mpiaij") does nothing.
+        unsafe {
+            check(ffi::MatCreate(session.comm(), &raw mut matrix.raw))?;
+            check(ffi::MatSetSizes(matrix.raw, local, local, global, global))?;
+            check(ffi::MatSetType(matrix.raw, c"aij".as_ptr()))?;
+            let (i, j, v) = (start.as_ptr(), column.as_ptr(), value.as_ptr());
+            check(ffi::MatSeqAIJSetPreallocationCSR(matrix.raw, i, j, v))?;
+            check(ffi::MatMPIAIJSetPreallocationCSR(matrix.raw, i, j, v))?;
+        }
+        Ok(matrix)
+    }
+
+    /// Rows over all ranks.
+    pub fn size(&self) -> Result<usize> {
+        let (mut rows, mut columns) = (0, 0);
+        // SAFETY: `raw` is a live matrix.
+        check(unsafe { ffi::MatGetSize(self.raw, &raw mut rows, &raw mut columns) })?;
+        Ok(rows as usize)
+    }
+
+    /// Stored entries over all ranks.
+    pub fn nonzeros(&self) -> Result<usize> {
+        let mut info = MaybeUninit::<ffi::MatInfo>::zeroed();
+        // SAFETY: `raw` is a live matrix; PETSc fills the plain numbers of `info`.
+        let info = unsafe {
+            check(ffi::MatGetInfo(self.raw, ffi::MAT_GLOBAL_SUM, info.as_mut_ptr()))?;
+            info.assume_init()
+        };
+        Ok(info.nz_used as usize)
+    }
+
+    /// `y = A x`.
+    pub fn multiply(&self, x: &Vector, y: &mut Vector) -> Result<()> {
+        // SAFETY: live objects; x and y are distinct because y is borrowed mutably.
+        check(unsafe { ffi::MatMult(self.raw, x.raw(), y.raw()) })
+    }
+
+    /// `|b - A x|`, computed afresh.
+    pub fn residual_norm(&self, x: &Vector, b: &Vector) -> Result<f64> {
+        let mut r = Vector::zeros(&self.session, b.local_size())?;
+        self.multiply(x, &mut r)?;
+        r.scale_and_add(-1.0, b)?;
+        r.norm()
+    }
+
+    /// The transposed matrix.
+    pub fn transpose(&self) -> Result<Self> {
+        let mut transpose = Self { raw: ptr::null_mut(), session: Rc::clone(&self.session) };
+        // SAFETY: `raw` is a live matrix; a new one is written to `transpose`.
+        check(unsafe { ffi::MatTranspose(self.raw, ffi::MAT_INITIAL_MATRIX, &raw mut transpose.raw) })?;
+        Ok(transpose)
+    }
+
+    /// Frobenius norm.
+    pub fn norm(&self) -> Result<f64> {
+        let mut norm = 0.0;
+        // SAFETY: `raw` is a live matrix.
+        check(unsafe { ffi::MatNorm(self.raw, ffi::NORM_FROBENIUS, &raw mut norm) })?;
+        Ok(norm)
+    }
+
+    /// Whether no entry differs from its mirror entry by more than `tolerance`.
+    pub fn is_symmetric(&self, tolerance: f64) -> Result<bool> {
+        let mut answer = ffi::PETSC_FALSE;
+        // SAFETY: `raw` is a live matrix.
+        check(unsafe { ffi::MatIsSymmetric(self.raw, tolerance, &raw mut answer) })?;
+        Ok(answer != ffi::PETSC_FALSE)
+    }
+
+    /// Tells solvers the vectors that this matrix maps to zero.
+    pub fn set_null_space(&mut self, space: &NullSpace) -> Result<()> {
+        // SAFETY: live objects; the matrix takes its own reference.
+        check(unsafe { ffi::MatSetNullSpace(self.raw, space.raw) })
+    }
+
+    /// Tells solvers the vectors that the transposed matrix maps to zero; a solvable right-hand side
+    /// is orthogonal to them.
+    pub fn set_transpose_null_space(&mut self, space: &NullSpace) -> Result<()> {
+        // SAFETY: live objects; the matrix takes its own reference.
+        check(unsafe { ffi::MatSetTransposeNullSpace(self.raw, space.raw) })
+    }
+
+    /// Writes the matrix and a right-hand side to one file in PETSc's binary format, as PETSc's
+    /// solver examples read it (`-f FILE`).
+    pub fn save(&self, rhs: &Vector, path: &Path) -> Result<()> {
+        let file = BinaryFile::create(&self.session, path)?;
+        // SAFETY: live objects on the same ranks.
+        check(unsafe { ffi::MatView(self.raw, file.raw()) })?;
+        check(unsafe { ffi::VecView(rhs.raw(), file.raw()) })
+    }
+
+    pub(super) fn raw(&self) -> ffi::Mat {
+        self.raw
+    }
+}
+
+impl Drop for Matrix {
+    fn drop(&mut self) {
+        // SAFETY: this handle's reference, released once; null is allowed.
+        unsafe { ffi::MatDestroy(&raw mut self.raw) };
+    }
+}
+
+/// Everything PETSc would trust blindly.
+fn check_rows(start: &[i32], column: &[i32], value: &[f64], global: i32) -> Result<()> {
+    let entries = i32::try_from(column.len()).unwrap_or(-1);
+    let sound = start.first() == Some(&0)
+        && start.last() == Some(&entries)
+        && start.is_sorted()
+        && value.len() == column.len()
+        && column.iter().all(|c| (0..global).contains(c));
+    sound.then_some(()).ok_or_else(|| {
+        Error::Run(format!(
+            "matrix rows are not sound: {} row starts, {} columns, {} values",
+            start.len(),
+            column.len(),
+            value.len()
+        ))
+    })
+}
+
+/// An orthonormal set of vectors that a matrix (or its transpose) maps to zero.
+pub struct NullSpace {
+    raw: ffi::MatNullSpace,
+    _session: Rc<Session>,
+}
+
+impl NullSpace {
+    /// From vectors that are orthonormal already.
+    pub fn new(session: &Rc<Session>, basis: &[Vector]) -> Result<Self> {
+        let mut space = Self { raw: ptr::null_mut(), _session: Rc::clone(session) };
+        let raw: Vec<ffi::Vec> = basis.iter().map(Vector::raw).collect();
+        let count = raw.len() as ffi::PetscInt;
+        // SAFETY: `raw` lists `count` live vectors, of which PETSc takes its own references.
+        check(unsafe {
+            ffi::MatNullSpaceCreate(session.comm(), ffi::PETSC_FALSE, count, raw.as_ptr(), &raw mut space.raw)
+        })?;
+        Ok(space)
+    }
+
+    /// Removes from `vector` its part in this space.
+    pub fn remove(&self, vector: &mut Vector) -> Result<()> {
+        // SAFETY: live objects.
+        check(unsafe { ffi::MatNullSpaceRemove(self.raw, vector.raw()) })
+    }
+}
+
+impl Drop for NullSpace {
+    fn drop(&mut self) {
+        // SAFETY: this handle's reference, released once; null is allowed.
+        unsafe { ffi::MatNullSpaceDestroy(&raw mut self.raw) };
+    }
+}

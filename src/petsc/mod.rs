@@ -1,0 +1,34 @@
+//! The fence around PETSc: every `unsafe` of the crate is in this folder, behind safe handles.
+//!
+//! - [`Session`] starts MPI and PETSc and stops them in reverse; each handle keeps it alive, so
+//!   `PetscFinalize` always comes last, in whatever order handles are dropped.
+//! - [`Vector`], [`Matrix`], [`NullSpace`] and [`Ksp`] own one PETSc object each and destroy it once.
+//!   PETSc counts references itself: a `Ksp` keeps its matrices when their handles are gone.
+//! - Handles are neither `Send` nor `Sync`: threads fill plain rows, the starting thread calls PETSc.
+//! - Every return code becomes a [`Result`](crate::Result) that carries PETSc's own first message;
+//!   PETSc prints no error text itself and installs no signal handler.
+//! - [`Options`] sets defaults that the user's own options override.
+//!
+//! This folder knows no SPH. Calls on several ranks are collective unless noted.
+
+#![allow(unsafe_code)]
+
+mod error;
+mod ffi;
+mod ksp;
+mod mat;
+mod options;
+mod session;
+mod vec;
+
+pub use ksp::{Ksp, SolveReport, Tolerances};
+pub use mat::{Matrix, NullSpace};
+pub use options::{Options, nearest};
+pub use session::{LogStage, Session};
+pub use vec::Vector;
+
+// `Rows` of the crate are i32 and f64; PETSc takes them as they are.
+const _: () = assert!(
+    size_of::<ffi::PetscInt>() == size_of::<i32>() && size_of::<ffi::PetscScalar>() == size_of::<f64>(),
+    "this PETSc was built with 64-bit indices or another scalar; use one with 32-bit indices and real double scalars"
+);

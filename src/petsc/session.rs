@@ -1,0 +1,135 @@
+//! MPI and PETSc, started once and stopped in reverse.
+
+use std::ffi::{CString, c_char, c_int};
+use std::marker::PhantomData;
+use std::ptr;
+use std::rc::Rc;
+
+use mpi::Threading;
+use mpi::environment::Universe;
+use mpi::ffi::MPI_Comm;
+use mpi::raw::AsRaw;
+use mpi::topology::{Communicator, SimpleCommunicator};
+
+use super::error::{c_string, check, install_handler};
+use super::ffi;
+use super::options::Options;
+use crate::{Error, Result};
+
+/// MPI and PETSc at work. Handles hold an `Rc` of it, so it ends after the last of them.
+pub struct Session {
+    options: Options,
+    world: SimpleCommunicator,
+    /// PETSc keeps pointers to the command line until it ends.
+    _arguments: Arguments,
+    /// Dropped last: MPI ends after PETSc.
+    _universe: Universe,
+}
+
+/// A command line in the form C's `main` has it.
+struct Arguments {
+    _strings: Vec<CString>,
+    pointers: Vec<*mut c_char>,
+}
+
+impl Session {
+    /// Starts MPI, then PETSc with the user's own PETSc tokens (`-ksp_type cg ...`).
+    ///
+    /// # Errors
+    /// [`Error::Input`] when PETSc rejects the tokens (for instance a missing `-options_file`),
+    /// [`Error::Run`] when MPI already runs in this process.
+    pub fn start(petsc_args: &[String]) -> Result<Rc<Self>> {
+        // Only this thread calls MPI, while rayon's threads compute: funneled.
+        let (universe, _) = mpi::initialize_with_threading(Threading::Funneled)
+            .ok_or_else(|| Error::Run("MPI already runs in this process; start one Session only".into()))?;
+        let mut arguments = Arguments::new(petsc_args)?;
+        install_handler()?;
+        let mut count = (arguments.pointers.len() - 1) as c_int;
+        let mut values = arguments.pointers.as_mut_ptr();
+        // SAFETY: count and values describe a null-terminated list of C strings that `Session` keeps.
+        check(unsafe { ffi::PetscInitialize(&raw mut count, &raw mut values, ptr::null(), ptr::null()) })
+            .map_err(|e| Error::Input(format!("PETSc does not accept its options: {e}")))?;
+        // SAFETY: PETSc runs; both calls only fill the lists of known solver types.
+        check(unsafe { ffi::KSPInitializePackage() }).and(check(unsafe { ffi::PCInitializePackage() }))?;
+        let options = Options::snapshot()?;
+        Ok(Rc::new(Self {
+            options,
+            world: SimpleCommunicator::world(),
+            _arguments: arguments,
+            _universe: universe,
+        }))
+    }
+
+    /// PETSc's options database.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// This process's number, from 0.
+    pub fn rank(&self) -> usize {
+        self.world.rank() as usize
+    }
+
+    /// Number of processes.
+    pub fn size(&self) -> usize {
+        self.world.size() as usize
+    }
+
+    /// PETSc's version, for the record of a run.
+    pub fn petsc_version() -> String {
+        format!("{}.{}.{}", ffi::PETSC_VERSION_MAJOR, ffi::PETSC_VERSION_MINOR, ffi::PETSC_VERSION_SUBMINOR)
+    }
+
+    /// The communicator of all ranks as PETSc takes it (rsmpi and PETSc share one MPI).
+    pub(super) fn comm(&self) -> MPI_Comm {
+        self.world.as_raw()
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        // SAFETY: PETSc runs and no handle is left, since each holds an `Rc` of this session.
+        // An error here has nobody to handle it.
+        unsafe { ffi::PetscFinalize() };
+    }
+}
+
+impl Arguments {
+    fn new(petsc_args: &[String]) -> Result<Self> {
+        // Signals are the program's: PETSc's handler would also break pipes (`| head`).
+        // Options that nothing used are reported by `Options::unused`, not at the end of a run.
+        let ours = ["sphpetsc", "-no_signal_handler", "-options_left", "no"].map(String::from);
+        let strings: Vec<CString> =
+            ours.iter().chain(petsc_args).map(|a| c_string(a)).collect::<Result<_>>()?;
+        let pointers = strings.iter().map(|s| s.as_ptr().cast_mut()).chain([ptr::null_mut()]).collect();
+        Ok(Self { _strings: strings, pointers })
+    }
+}
+
+/// A named part of the run in the table of `-log_view`.
+pub struct LogStage {
+    id: ffi::PetscLogStage,
+    _session: Rc<Session>,
+    _one_thread: PhantomData<*const ()>,
+}
+
+impl LogStage {
+    /// Registers a stage; the name appears in `-log_view`.
+    pub fn register(session: &Rc<Session>, name: &str) -> Result<Self> {
+        let name = c_string(name)?;
+        let mut id = 0;
+        // SAFETY: the name is a C string, which PETSc copies.
+        check(unsafe { ffi::PetscLogStageRegister(name.as_ptr(), &raw mut id) })?;
+        Ok(Self { id, _session: Rc::clone(session), _one_thread: PhantomData })
+    }
+
+    /// Runs `work` inside the stage.
+    pub fn run<T>(&self, work: impl FnOnce() -> Result<T>) -> Result<T> {
+        // SAFETY: the stage was registered with the session that `self` keeps alive.
+        check(unsafe { ffi::PetscLogStagePush(self.id) })?;
+        let outcome = work();
+        // SAFETY: closes the push above, also when `work` failed.
+        check(unsafe { ffi::PetscLogStagePop() })?;
+        outcome
+    }
+}

@@ -1,0 +1,5 @@
+/* All of PETSc that the crate uses; build.rs lists the names that become Rust. */
+#include <petscksp.h>
+#include <petscviewer.h>
+#include <stdio.h>
+#include <unistd.h>

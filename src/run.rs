@@ -1,0 +1,329 @@
+//! One run from a case file to its folder: builds the simulation, lets observers write, reports.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use crate::case::build::{self, Scene};
+use crate::case::{CaseFile, SchemeKind, read};
+use crate::cli::{self, RunArgs};
+use crate::output::checkpoint;
+use crate::output::observers::{Comparison, History, Snapshots, SolverLog};
+use crate::output::{Progress, RunFolder, Status, write_atomic};
+use crate::ppe::PressureSolve;
+use crate::report::Report;
+use crate::scheme::isph::Isph;
+use crate::simulation::{Observer, Simulation, StepControl};
+use crate::{Error, Result, patch_test};
+
+/// Runs a case.
+pub fn run(args: &RunArgs, case: &CaseFile) -> Result<()> {
+    start_threads(args.threads)?;
+    match case.dimension {
+        2 => run_in::<2>(args, case),
+        _ => run_in::<3>(args, case),
+    }
+}
+
+/// Validates a case and says what a run would take; writes nothing.
+pub fn check(args: &RunArgs, case: &CaseFile) -> Result<()> {
+    let _ = args;
+    cli::print(&match case.dimension {
+        2 => derived::<2>(case),
+        _ => derived::<3>(case),
+    })
+}
+
+fn start_threads(threads: Option<usize>) -> Result<()> {
+    let Some(threads) = threads else { return Ok(()) };
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build_global()
+        .map_err(|error| Error::Input(format!("--threads {threads}: {error}: try fewer")))
+}
+
+fn run_in<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<()> {
+    match case.scheme.kind {
+        SchemeKind::IsphDf => Run::<D>::prepare(args, case)?.to_the_end(),
+        SchemeKind::PatchTest => run_patch_test::<D>(args, case),
+    }
+}
+
+fn run_patch_test<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<()> {
+    let report = patch_test::run::<D>(case);
+    let folder = create_folder(args, case)?;
+    write_run_file(&folder, args, case)?;
+    report.write(&folder)?;
+    cli::print(&format!("{report}written to {}\n", folder.path().display()))
+}
+
+/// Everything a run holds.
+struct Run<'a, const D: usize> {
+    args: &'a RunArgs,
+    case: &'a CaseFile,
+    folder: RunFolder,
+    simulation: Simulation<D>,
+    history: History<D>,
+    solver_log: SolverLog,
+    snapshots: Snapshots<D>,
+    progress: Progress,
+    stop: Arc<AtomicBool>,
+    started: Instant,
+    next_checkpoint: f64,
+    solver: String,
+}
+
+impl<'a, const D: usize> Run<'a, D> {
+    /// Everything that can be wrong is found here, before the first file is written.
+    fn prepare(args: &'a RunArgs, case: &'a CaseFile) -> Result<Self> {
+        let Scene { particles, params, tank, snapped } = build::scene::<D>(case);
+        for sentence in &snapped {
+            log::info!("{sentence} (no multiple of the spacing)");
+        }
+        let solver = pressure_solver(args, particles.fluid().len())?;
+        let described = solver.describe();
+        log::info!("{described}");
+        let resumed = resume_from(args, case)?;
+
+        let scheme = Box::new(Isph::new(params.clone(), &particles, solver));
+        let control = StepControl {
+            fixed: case.time.step,
+            largest: case.time.step_max.unwrap_or(f64::INFINITY),
+        };
+        let mut simulation =
+            Simulation::new(particles, scheme, control, tank, params.gravity, params.support());
+        simulation.start()?;
+        let (folder, since) = match resumed {
+            None => (create_folder(args, case)?, None),
+            Some((folder, state)) => {
+                simulation.restore(&state)?;
+                log::info!("resumed at t = {:.6} s, step {}", simulation.time, simulation.step);
+                (folder, Some(simulation.time))
+            }
+        };
+        if since.is_none() {
+            write_run_file(&folder, args, case)?;
+        }
+        let systems = (!args.save_systems.is_empty()).then_some(args.save_systems.clone());
+        let mut run = Self {
+            history: History::new(&folder, case, &params, since)?,
+            solver_log: SolverLog::new(&folder, systems, since)?,
+            snapshots: Snapshots::new(&folder, case, since)?,
+            progress: Progress::new(case.time.until, args.quiet),
+            stop: Arc::new(AtomicBool::new(false)),
+            started: Instant::now(),
+            next_checkpoint: case.output.checkpoint * (simulation.time / case.output.checkpoint).floor()
+                + case.output.checkpoint,
+            solver: described,
+            args,
+            case,
+            folder,
+            simulation,
+        };
+        let stop = run.stop.clone();
+        // A second handler in one process is a test harness's business; the first one serves.
+        let _ = ctrlc::set_handler(move || stop.store(true, Ordering::Relaxed));
+        if since.is_none() {
+            run.history.start(&run.simulation)?;
+            run.snapshots.write(&run.simulation)?;
+        }
+        Ok(run)
+    }
+
+    fn to_the_end(mut self) -> Result<()> {
+        let outcome = self.time_loop();
+        let saved = match &outcome {
+            Ok(()) | Err(Error::Interrupted(_)) => self.save(),
+            Err(_) => self.save_failure(),
+        };
+        self.progress.finish();
+        self.history.flush()?;
+        self.solver_log.flush()?;
+        let comparison = Comparison::of(&self.folder, self.case, &self.args.reference_files(self.case)?)?;
+        let report = Report {
+            case: self.case,
+            scheme: self.simulation.scheme.as_ref(),
+            particles: &self.simulation.particles,
+            time: self.simulation.time,
+            step: self.simulation.step,
+            totals: self.simulation.totals,
+            energy: self.history.energy(),
+            comparison,
+            solver: &self.solver,
+            wall_s: self.started.elapsed().as_secs_f64(),
+            folder: self.folder.path(),
+            failure: outcome.as_ref().err().map(ToString::to_string),
+        };
+        write_atomic(&self.folder.join("summary.json"), |file| {
+            serde_json::to_writer_pretty(file, &report.json()).map_err(Into::into)
+        })?;
+        if !self.args.quiet {
+            cli::print(&report.to_string())?;
+        }
+        outcome.and(saved)
+    }
+
+    fn time_loop(&mut self) -> Result<()> {
+        while self.simulation.time < self.case.time.until {
+            let report = self.simulation.advance().inspect_err(|_| self.keep_failed_system())?;
+            self.history.observe(&self.simulation, &report)?;
+            self.solver_log.observe(&self.simulation, &report)?;
+            self.snapshots.observe(&self.simulation, &report)?;
+            let simulation = &self.simulation;
+            self.progress.update(&Status {
+                time: simulation.time,
+                step: simulation.step,
+                dt: simulation.dt,
+                iterations: report.solve.as_ref().map(|solve| solve.iterations),
+                particles: simulation.particles.fluid().len(),
+            });
+            if self.case.output.checkpoint > 0.0 && simulation.time >= self.next_checkpoint {
+                self.next_checkpoint += self.case.output.checkpoint;
+                self.save()?;
+            }
+            if self.stop.load(Ordering::Relaxed) {
+                return Err(Error::Interrupted(format!(
+                    "interrupted at t = {:.6} s: the state is saved; go on with --resume {}",
+                    self.simulation.time,
+                    self.folder.path().display()
+                )));
+            }
+        }
+        self.snapshots.write(&self.simulation)
+    }
+
+    fn save(&self) -> Result<()> {
+        let mut writer = checkpoint::Writer::new();
+        self.simulation.save(&mut writer);
+        writer.save(&self.folder.join("checkpoint"), self.simulation.step).map(|_| ())
+    }
+
+    /// The last good state as a checkpoint, the failing one as particles to look at.
+    fn save_failure(&mut self) -> Result<()> {
+        self.save()?;
+        self.simulation.swap_states();
+        self.snapshots.write_failed(&self.folder, &self.simulation)?;
+        self.simulation.swap_states();
+        Ok(())
+    }
+
+    fn keep_failed_system(&self) {
+        if let Err(error) = self.simulation.scheme.save_system(&self.folder.join("systems"), "failed") {
+            log::warn!("the failing pressure system could not be saved: {error}");
+        }
+    }
+}
+
+#[cfg(feature = "petsc")]
+fn pressure_solver(args: &RunArgs, size: usize) -> Result<Box<dyn PressureSolve>> {
+    let session = crate::petsc::Session::start(&args.petsc)?;
+    if session.size() > 1 {
+        return Err(Error::Input(format!(
+            "this version runs on one rank, and {} were started: leave mpiexec out",
+            session.size()
+        )));
+    }
+    Ok(Box::new(crate::ppe::solve::PressureSolver::new(session, size)?))
+}
+
+#[cfg(not(feature = "petsc"))]
+fn pressure_solver(_: &RunArgs, _: usize) -> Result<Box<dyn PressureSolve>> {
+    let advice = "build with the feature petsc (the default)";
+    Err(Error::Input(format!("this build leaves PETSc out, and the scheme isph_df needs it: {advice}")))
+}
+
+fn create_folder(args: &RunArgs, case: &CaseFile) -> Result<RunFolder> {
+    match &args.out {
+        Some(path) => RunFolder::create_at(path, args.force),
+        None => RunFolder::create_numbered(Path::new("out"), &case.name),
+    }
+}
+
+/// Folder and newest state of the run to go on with.
+fn resume_from(args: &RunArgs, case: &CaseFile) -> Result<Option<(RunFolder, checkpoint::Reader)>> {
+    let Some(folder) = &args.resume else { return Ok(None) };
+    let path = match (folder, &args.out) {
+        (Some(path), _) | (None, Some(path)) => path.clone(),
+        (None, None) => newest_run(&case.name).ok_or_else(|| {
+            Error::Input(format!("--resume: there is no out/{} yet: leave --resume out", case.name))
+        })?,
+    };
+    let Some(state) = checkpoint::latest(&path.join("checkpoint"))? else {
+        return Err(Error::Input(format!(
+            "--resume: {} holds no checkpoint: start the run afresh",
+            path.display()
+        )));
+    };
+    let state = checkpoint::Reader::load(&state)?;
+    Ok(Some((RunFolder::open(&path)?, state)))
+}
+
+/// out/NAME-n with the largest n, or out/NAME.
+fn newest_run(name: &str) -> Option<PathBuf> {
+    let number = |path: &Path| -> Option<u64> {
+        let rest = path.file_name()?.to_str()?.strip_prefix(name)?;
+        if rest.is_empty() { Some(1) } else { rest.strip_prefix('-')?.parse().ok() }
+    };
+    let runs = std::fs::read_dir("out").ok()?.filter_map(|entry| Some(entry.ok()?.path()));
+    runs.filter_map(|path| Some((number(&path)?, path))).max().map(|(_, path)| path)
+}
+
+fn write_run_file(folder: &RunFolder, args: &RunArgs, case: &CaseFile) -> Result<()> {
+    let header = "The case as run, with all defaults: feed it back to repeat the run.";
+    let mut text = read::write(case, header);
+    let machine = toml::Table::from_iter([
+        ("version".to_owned(), env!("CARGO_PKG_VERSION").into()),
+        ("petsc".to_owned(), petsc_version().into()),
+        ("petsc_options".to_owned(), args.petsc.join(" ").into()),
+        ("system".to_owned(), format!("{} {}", std::env::consts::OS, std::env::consts::ARCH).into()),
+        ("threads".to_owned(), i64::try_from(rayon::current_num_threads()).unwrap_or(i64::MAX).into()),
+    ]);
+    text += &format!("\n[run]\n{machine}");
+    write_atomic(&folder.join("run.toml"), |file| std::io::Write::write_all(file, text.as_bytes()))
+}
+
+#[cfg(feature = "petsc")]
+fn petsc_version() -> String {
+    crate::petsc::Session::petsc_version()
+}
+
+#[cfg(not(feature = "petsc"))]
+fn petsc_version() -> String {
+    "none".into()
+}
+
+/// What `check` prints: counts, lengths, limits, and what a run would take.
+fn derived<const D: usize>(case: &CaseFile) -> String {
+    let Scene { particles, params, snapped, .. } = build::scene::<D>(case);
+    let [fluid, walls, dummies] =
+        [particles.fluid().len(), particles.walls().len(), particles.dummies().len()];
+    // Measured on 2D and 3D scenes: rows of neighbours, matrices and state, a pair costing about 40 bytes twice.
+    let pairs = (std::f64::consts::PI * (params.support() / params.spacing).powi(2)).powi(D as i32 - 1);
+    let memory = (fluid + walls) as f64 * (300.0 + 80.0 * pairs.min(60.0)) / 1e6;
+    let mut text = format!("case          {} ({}D), scheme {:?}\n", case.name, D, case.scheme.kind);
+    let mut line = |name: &str, value: String| text += &format!("{name:<13} {value}\n");
+    line("particles", format!("{fluid} fluid, {walls} wall, {dummies} dummy"));
+    line(
+        "lengths",
+        format!(
+            "spacing {} m, smoothing length {:.6} m, support {:.6} m",
+            params.spacing,
+            params.smoothing_length(),
+            params.support()
+        ),
+    );
+    let fall = particles.fluid().map(|a| particles.position[a][D - 1]).fold(0.0, f64::max);
+    let speed = (2.0 * params.gravity.norm() * fall).sqrt();
+    let dt = case.time.step.unwrap_or_else(|| params.dt_limit(speed, 0.0));
+    let steps = (case.time.until / dt).ceil();
+    line("time step", format!("about {dt:.3e} s at {speed:.2} m/s, {steps:.0} steps to {} s", case.time.until));
+    line("memory", format!("about {memory:.0} MB"));
+    // 3 microseconds a particle and step: the whole step of dam_break_2d on one core.
+    let seconds = steps * (fluid + walls) as f64 * if D == 2 { 1.5e-6 } else { 6e-6 };
+    line("run time", format!("roughly {seconds:.0} s on one core"));
+    for sentence in snapped {
+        line("snapped", sentence);
+    }
+    text
+}

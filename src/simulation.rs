@@ -1,0 +1,359 @@
+//! The time loop: step size, particles that leave, and the watch on finite and bounded values.
+//!
+//! The loop knows no file formats: an [`Observer`] looks at the simulation after each step.
+
+use crate::geometry::TankShape;
+use crate::output::checkpoint;
+use crate::particles::{Particles, Vector};
+use crate::scheme::{Scheme, StepReport};
+use crate::{Error, Result};
+
+/// A simulation in progress.
+pub struct Simulation<const D: usize> {
+    /// Particles at `time`.
+    pub particles: Particles<D>,
+    /// The method that advances them.
+    pub scheme: Box<dyn Scheme<D>>,
+    /// Flow time in s.
+    pub time: f64,
+    /// Number of steps done.
+    pub step: u64,
+    /// Last time step in s.
+    pub dt: f64,
+    /// Totals since the start.
+    pub totals: Totals,
+    control: StepControl,
+    tank: Option<TankShape<D>>,
+    gravity: Vector<D>,
+    speed_limit: f64,
+    margin: f64,
+    before: (Vec<Vector<D>>, Vec<Vector<D>>, Vec<f64>),
+}
+
+/// How the time step is chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepControl {
+    /// A fixed step in s; adaptive when absent.
+    pub fixed: Option<f64>,
+    /// Largest adaptive step in s.
+    pub largest: f64,
+}
+
+/// Counts since the start of a run.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Totals {
+    /// Negative pressures set to zero.
+    pub clipped: u64,
+    /// Pairs that collided.
+    pub collisions: u64,
+    /// Particles that left over an open side.
+    pub left: u64,
+    /// Particles found behind a wall: a defect.
+    pub through_walls: u64,
+    /// Iterations of the pressure solver.
+    pub iterations: u64,
+    /// Largest number of iterations in one step.
+    pub most_iterations: u64,
+    /// Solves that needed a fallback.
+    pub fallbacks: u64,
+}
+
+/// Looks at a simulation after each step.
+pub trait Observer<const D: usize> {
+    /// Called after a step with its report.
+    fn observe(&mut self, simulation: &Simulation<D>, report: &StepReport) -> Result<()>;
+}
+
+/// Largest growth of the time step from one step to the next.
+const GROWTH: f64 = 1.1;
+/// The first step as a share of the stable one: the pressure starts from a guess.
+const FIRST: f64 = 0.1;
+/// A speed this many times that of a fall through the whole scene is a run out of control.
+const RUNAWAY: f64 = 20.0;
+
+impl<const D: usize> Simulation<D> {
+    /// Starts from `particles`, which are left alone until the first step. `support` is the kernel's reach in m.
+    pub fn new(
+        particles: Particles<D>,
+        scheme: Box<dyn Scheme<D>>,
+        control: StepControl,
+        tank: Option<TankShape<D>>,
+        gravity: Vector<D>,
+        support: f64,
+    ) -> Self {
+        let speed = particles.velocity.iter().map(|v| v.norm()).fold(0.0, f64::max);
+        let (mut low, mut high) = (Vector::zeros(), Vector::zeros());
+        if let Some(first) = particles.position.first() {
+            (low, high) = (*first, *first);
+        }
+        for r in &particles.position {
+            low = low.inf(r);
+            high = high.sup(r);
+        }
+        let fall = (2.0 * gravity.norm() * (high - low).norm()).sqrt();
+        let mut simulation = Self {
+            dt: 0.0,
+            particles,
+            scheme,
+            time: 0.0,
+            step: 0,
+            totals: Totals::default(),
+            control,
+            tank,
+            gravity,
+            speed_limit: RUNAWAY * (speed + fall),
+            margin: support,
+            before: Default::default(),
+        };
+        simulation.dt = FIRST * simulation.stable_dt();
+        simulation
+    }
+
+    /// Finds the pressure of the initial state; see [`Scheme::start`].
+    pub fn start(&mut self) -> Result<()> {
+        self.scheme.start(&mut self.particles)
+    }
+
+    fn stable_dt(&self) -> f64 {
+        self.scheme.max_dt(&self.particles).min(self.control.largest)
+    }
+
+    /// The next step: fixed, or as long as stability and a steady growth allow.
+    pub fn next_dt(&self) -> f64 {
+        match self.control.fixed {
+            Some(dt) => dt,
+            None => self.stable_dt().min(GROWTH * self.dt),
+        }
+    }
+
+    /// Advances by one step. After an error the particles are those of the last good state, and
+    /// [`swap_states`](Self::swap_states) brings up the failing one.
+    pub fn advance(&mut self) -> Result<StepReport> {
+        // Here and not after the last step, so that observers find the particles as the step saw them.
+        self.remove_leavers();
+        let dt = self.next_dt();
+        self.remember();
+        let outcome = self.scheme.step(&mut self.particles, dt).and_then(|report| {
+            self.watch()?;
+            Ok(report)
+        });
+        let report = match outcome {
+            Ok(report) => report,
+            Err(error) => {
+                self.swap_states();
+                return Err(self.located(error, dt));
+            }
+        };
+        self.time += dt;
+        self.step += 1;
+        self.dt = dt;
+        self.count(&report);
+        Ok(report)
+    }
+
+    fn remember(&mut self) {
+        let (position, velocity, pressure) = &mut self.before;
+        position.clone_from(&self.particles.position);
+        velocity.clone_from(&self.particles.velocity);
+        pressure.clone_from(&self.particles.pressure);
+    }
+
+    /// Exchanges the present state with the one before the last step.
+    pub fn swap_states(&mut self) {
+        let (position, velocity, pressure) = &mut self.before;
+        std::mem::swap(position, &mut self.particles.position);
+        std::mem::swap(velocity, &mut self.particles.velocity);
+        std::mem::swap(pressure, &mut self.particles.pressure);
+    }
+
+    /// Finite and bounded?
+    fn watch(&self) -> Result<()> {
+        let limit = self.speed_limit;
+        let runs_away = |a: usize| {
+            let finite = self.particles.position[a].iter().all(|x| x.is_finite());
+            // The negation catches NaN.
+            !(finite && self.particles.velocity[a].norm() <= limit)
+        };
+        let Some(a) = self.particles.fluid().find(|&a| runs_away(a)) else { return Ok(()) };
+        Err(Error::Run(format!(
+            "particle {} has a speed of {:.3e} m/s, more than {limit:.3e} m/s is out of control: try a smaller time \
+             step (--set time.courant=...) or a finer spacing",
+            self.particles.id[a],
+            self.particles.velocity[a].norm()
+        )))
+    }
+
+    fn located(&self, error: Error, dt: f64) -> Error {
+        match error {
+            Error::Run(what) => Error::Run(format!(
+                "step {} at t = {:.6} s (dt = {dt:.3e} s): {what}",
+                self.step + 1,
+                self.time
+            )),
+            other => other,
+        }
+    }
+
+    fn count(&mut self, report: &StepReport) {
+        self.totals.clipped += report.clipped as u64;
+        self.totals.collisions += report.collisions as u64;
+        if let Some(solve) = &report.solve {
+            self.totals.iterations += solve.iterations as u64;
+            self.totals.most_iterations = self.totals.most_iterations.max(solve.iterations as u64);
+            self.totals.fallbacks += u64::from(solve.fallback.is_some());
+        }
+    }
+
+    /// Takes out particles that went over an open side for good, and any that got behind a wall.
+    fn remove_leavers(&mut self) {
+        let Some(tank) = self.tank else { return };
+        let (margin, gravity) = (self.margin, self.gravity);
+        let fate = |r: &Vector<D>| Fate::of(r, &tank, &gravity, margin);
+        let particles = &self.particles;
+        let gone: Vec<usize> =
+            particles.fluid().filter(|&a| fate(&particles.position[a]) != Fate::Stays).collect();
+        if gone.is_empty() {
+            return;
+        }
+        for a in gone {
+            match fate(&particles.position[a]) {
+                Fate::ThroughWall(wall) => {
+                    self.totals.through_walls += 1;
+                    log::warn!(
+                        "step {}: particle {} went through the {wall} wall at {:?}: try a smaller time step",
+                        self.step,
+                        particles.id[a],
+                        particles.position[a].as_slice()
+                    );
+                }
+                _ => self.totals.left += 1,
+            }
+        }
+        let position = self.particles.position.clone();
+        self.particles.retain_fluid(|a| fate(&position[a]) == Fate::Stays);
+    }
+
+    /// Everything the rest of the run depends on.
+    pub fn save(&self, writer: &mut checkpoint::Writer) {
+        let flat = |vectors: &[Vector<D>]| -> Vec<f64> {
+            vectors.iter().flat_map(|v| v.iter().copied()).collect()
+        };
+        let t = &self.totals;
+        let counts =
+            [t.clipped, t.collisions, t.left, t.through_walls, t.iterations, t.most_iterations, t.fallbacks];
+        writer
+            .f64("time", &[self.time, self.dt])
+            .u64("step", &[self.step])
+            .u64("totals", &counts)
+            .f64("scheme", &self.scheme.state())
+            .u64("id", &self.particles.id)
+            .f64("position", &flat(&self.particles.position))
+            .f64("velocity", &flat(&self.particles.velocity))
+            .f64("pressure", &self.particles.pressure);
+    }
+
+    /// Goes on from a saved state of the same case.
+    pub fn restore(&mut self, reader: &checkpoint::Reader) -> Result<()> {
+        let vectors = |name: &str| -> Result<Vec<Vector<D>>> {
+            Ok(reader.f64(name)?.chunks_exact(D).map(Vector::from_column_slice).collect())
+        };
+        let foreign = || {
+            Error::Input("the checkpoint belongs to another case or another version: start the run afresh".into())
+        };
+        let solids = self.particles.solids();
+        let (position, velocity) = (vectors("position")?, vectors("velocity")?);
+        let (pressure, id) = (reader.f64("pressure")?.to_vec(), reader.u64("id")?.to_vec());
+        let same = [velocity.len(), pressure.len(), id.len()].iter().all(|n| *n == position.len());
+        if !same || position.len() < solids || id[..solids] != self.particles.id[..solids] {
+            return Err(foreign());
+        }
+        let &[time, dt] = reader.f64("time")? else { return Err(foreign()) };
+        let &[step] = reader.u64("step")? else { return Err(foreign()) };
+        let &[clipped, collisions, left, through_walls, iterations, most_iterations, fallbacks] =
+            reader.u64("totals")?
+        else {
+            return Err(foreign());
+        };
+        self.totals =
+            Totals { clipped, collisions, left, through_walls, iterations, most_iterations, fallbacks };
+        (self.time, self.dt, self.step) = (time, dt, step);
+        self.particles.position = position;
+        self.particles.velocity = velocity;
+        self.particles.pressure = pressure;
+        self.particles.id = id;
+        self.scheme.set_state(reader.f64("scheme")?).ok_or_else(foreign)
+    }
+}
+
+/// Where a particle is bound.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Fate {
+    Stays,
+    Left,
+    ThroughWall(&'static str),
+}
+
+impl Fate {
+    /// Above an open top a particle stays until it has passed a wall sideways: it may fall back. On any other open side
+    /// it has left once it is a kernel support away.
+    fn of<const D: usize>(
+        r: &Vector<D>,
+        tank: &TankShape<D>,
+        gravity: &Vector<D>,
+        margin: f64,
+    ) -> Self {
+        let mut behind = None;
+        let mut beyond_open = false;
+        for d in 0..D {
+            let overshoot = [tank.inner.min[d] - r[d], r[d] - tank.inner.max[d]];
+            for end in 0..2 {
+                if overshoot[end] <= 0.0 {
+                    continue;
+                }
+                if !tank.open[d][end] {
+                    behind = Some(Self::wall_name(d, end, D));
+                    continue;
+                }
+                beyond_open = true;
+                let outward = if end == 0 { -gravity[d] } else { gravity[d] };
+                if outward >= 0.0 && overshoot[end] > margin {
+                    return Self::Left;
+                }
+            }
+        }
+        match behind {
+            None => Self::Stays,
+            Some(_) if beyond_open => Self::Left,
+            Some(wall) => Self::ThroughWall(wall),
+        }
+    }
+
+    fn wall_name(axis: usize, end: usize, dimension: usize) -> &'static str {
+        match (axis, axis == dimension - 1) {
+            (_, true) => ["bottom", "top"][end],
+            (0, _) => ["left", "right"][end],
+            _ => ["front", "back"][end],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Aabb;
+
+    #[test]
+    fn leavers_are_told_from_leaks() {
+        let inner = Aabb { min: Vector::zeros(), max: Vector::new(1.0, 1.0) };
+        let tank = TankShape { inner, open: [[false, true], [false, true]] };
+        let gravity = Vector::new(0.0, -9.81);
+        let fate = |x: f64, y: f64| Fate::of(&Vector::new(x, y), &tank, &gravity, 0.1);
+        assert_eq!(fate(0.5, 0.5), Fate::Stays);
+        assert_eq!(fate(0.5, 3.0), Fate::Stays, "falls back");
+        assert_eq!(fate(-0.01, 3.0), Fate::Left, "over the rim");
+        assert_eq!(fate(-0.01, 0.5), Fate::ThroughWall("left"));
+        assert_eq!(fate(0.5, -0.01), Fate::ThroughWall("bottom"));
+        assert_eq!(fate(1.05, 0.5), Fate::Stays, "still near");
+        assert_eq!(fate(1.2, 0.5), Fate::Left);
+    }
+}

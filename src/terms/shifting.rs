@@ -1,0 +1,83 @@
+//! Particle shifting: small moves down the gradient of the particle concentration, which keep the spacing even.
+//!
+//! dr = -A h u dt grad C,   grad C = sum_b V grad W   (Skillen et al. 2013)
+//!
+//! over liquid and wet walls. (Were dry walls counted, they would push the water line away from every wall.)
+//!
+//! A move is capped at a tenth of a spacing. The speed u is the largest one relative to a neighbour, so that the result is the
+//! same in every inertial frame, and at least 0.3 sqrt(g dx), the speed at which gravity moves particles past each
+//! other: without this floor the rows of a calm surface drift into each other, since nothing else acts along the
+//! surface (kinetic energy of a tank filled with 10 % disorder, after 3 s: 6e-5 of the potential at a fifth
+//! of the floor, 9e-7 with it, 1e-5 at three times it). On a regular lattice grad C is zero and the floor without
+//! effect.
+//!
+//! At the surface and within a neighbour of it the part along the surface normal is dropped (Lind et al. 2012): there
+//! grad C points out of the water, not away from crowding. The normal is that of the surface particles around, since
+//! the second row's own defect is too small to have a direction. The velocity is carried along,
+//! v(r + dr) = v(r) + dr . grad v, so that shifting does not smear momentum.
+
+use crate::operators::{Moments, Surroundings};
+use crate::particles::{Matrix, Vector};
+
+/// Largest move in spacings.
+const CAP: f64 = 0.1;
+/// Floor of the speed u in units of sqrt(g dx).
+const SPEED_FLOOR: f64 = 0.3;
+
+/// Parameters of one step's shifting.
+#[derive(Debug, Clone, Copy)]
+pub struct Shifting {
+    /// A h dt in m s.
+    factor: f64,
+    /// Smallest speed u in m/s.
+    least_speed: f64,
+    /// Largest move in m.
+    cap: f64,
+}
+
+impl Shifting {
+    /// Shifting with coefficient A; lengths in m, gravity in m/s2, dt in s.
+    pub fn new(coefficient: f64, smoothing_length: f64, spacing: f64, gravity: f64, dt: f64) -> Self {
+        Self {
+            factor: coefficient * smoothing_length * dt,
+            least_speed: SPEED_FLOOR * (gravity * spacing).sqrt(),
+            cap: CAP * spacing,
+        }
+    }
+
+    /// Move in m and change of velocity in m/s of fluid particle `a`; `moments` and the surface weights `surface` have
+    /// one entry a particle.
+    pub fn of<const D: usize>(
+        &self,
+        surroundings: &Surroundings<'_, D>,
+        velocity: &[Vector<D>],
+        moments: &[Moments<D>],
+        surface: &[f64],
+        a: usize,
+    ) -> (Vector<D>, Vector<D>) {
+        let v_a = velocity[a];
+        let mut fastest = 0.0_f64;
+        let mut gradient = Matrix::<D>::zeros();
+        let mut inward = surface[a] * moments[a].defect;
+        for (b, r_ab, vf) in surroundings.active(a) {
+            let v_ba = velocity[b] - v_a;
+            fastest = fastest.max(v_ba.norm_squared());
+            gradient += vf * v_ba * r_ab.transpose();
+            inward += surface[b] * moments[b].defect;
+        }
+        let mut concentration = moments[a].defect;
+        if let Some(normal) = inward.try_normalize(0.0) {
+            concentration -= normal * normal.dot(&concentration);
+        }
+        let mut shift = -self.factor * fastest.sqrt().max(self.least_speed) * concentration;
+        let length = shift.norm();
+        if length > self.cap {
+            shift *= self.cap / length;
+        }
+        let carried = match moments[a].correction() {
+            Some(b) => gradient * (b * shift),
+            None => Vector::zeros(),
+        };
+        (shift, carried)
+    }
+}
