@@ -230,11 +230,8 @@ fn shifted<const D: usize>(cell: &Cell<D>, offset: &Cell<D>) -> Cell<D> {
 fn wall_normal<const D: usize>(open: &[&Cell<D>]) -> Vector<D> {
     let faces_crossed = |o: &Cell<D>| o.iter().filter(|c| **c != 0).count();
     let fewest = open.iter().map(|o| faces_crossed(o)).min().unwrap_or(0);
-    let sum: Vector<D> = open
-        .iter()
-        .filter(|o| faces_crossed(o) == fewest)
-        .map(|o| Vector::from_fn(|d, _| o[d] as f64))
-        .sum();
+    let sum: Vector<D> =
+        open.iter().filter(|o| faces_crossed(o) == fewest).map(|o| Vector::from_fn(|d, _| o[d] as f64)).sum();
     // A plate one cell thick is open on both sides: its sum vanishes and it has no normal.
     sum.try_normalize(0.5).unwrap_or_else(Vector::zeros)
 }
@@ -309,7 +306,8 @@ mod tests {
             blocks: vec![],
         };
         let particles = Lattice::new(&shapes, 0.1).particles(4);
-        let in_box = |r: &Vector<3>| r.x > 1.0 && r.x < 1.4 && r.y > 0.3 && r.y < 0.7 && r.z > 0.0 && r.z < 0.4;
+        let in_box =
+            |r: &Vector<3>| r.x > 1.0 && r.x < 1.4 && r.y > 0.3 && r.y < 0.7 && r.z > 0.0 && r.z < 0.4;
         let solid: Vec<_> = (0..particles.len()).filter(|&a| in_box(&particles.position[a])).collect();
         assert_eq!(solid.len(), 64, "a box of 4 x 4 x 4 cells is full of particles");
         let walls = solid.iter().filter(|&&a| particles.kind(a) == Kind::Wall).count();

@@ -148,6 +148,8 @@ struct Chunk {
     index: Vec<u32>,
     kernel: Vec<f64>,
     gradient: Vec<f64>,
+    /// Candidates within reach of one particle, with their squared distances.
+    hits: Vec<(u32, f64)>,
 }
 
 const CHUNK: usize = 512;
@@ -170,43 +172,55 @@ impl<const D: usize> Neighbors<D> {
         let count = position.len();
         self.chunks.resize_with(count.div_ceil(CHUNK), Chunk::default);
         let (solid_cells, fluid_cells) = (&self.solid_cells, &self.fluid_cells);
-        let square = support * support;
+        let limit = support * support;
         self.chunks.par_iter_mut().enumerate().for_each(|(c, chunk)| {
-            let Chunk { count: counts, index, kernel, gradient } = chunk;
+            let Chunk { count: counts, index, kernel, gradient, hits } = chunk;
             counts.clear();
             index.clear();
             kernel.clear();
             gradient.clear();
             for a in c * CHUNK..((c + 1) * CHUNK).min(count) {
-                let before = index.len();
                 let least = threshold(a);
-                if least < f64::INFINITY {
-                    let r_a = position[a];
-                    let mut wetted = 0.0;
-                    let mut gather = |run: &[u32]| {
-                        for &b in run {
-                            let distance2 = (r_a - position[b as usize]).norm_squared();
-                            if distance2 < square && b as usize != a {
-                                let (w, f) = smoothing.pair(distance2.sqrt());
-                                index.push(b);
-                                kernel.push(w);
-                                gradient.push(f);
-                                wetted += w;
-                            }
-                        }
-                        wetted
-                    };
-                    let mut fluid_sum = 0.0;
-                    fluid_cells.around(&r_a, |run| fluid_sum = gather(run));
-                    if fluid_sum >= least {
-                        solid_cells.around(&r_a, |run| {
-                            gather(run);
-                        });
-                    } else {
-                        index.truncate(before);
-                        kernel.truncate(before);
-                        gradient.truncate(before);
+                if least == f64::INFINITY {
+                    counts.push(0);
+                    continue;
+                }
+                let r_a = position[a];
+                let mut found = 0;
+                let mut gather = |run: &[u32]| {
+                    if hits.len() < found + run.len() {
+                        hits.resize(found + run.len(), (0, 0.0));
                     }
+                    for &b in run {
+                        // Written in any case and kept by counting on: a branch here is mispredicted too often.
+                        let square = (r_a - position[b as usize]).norm_squared();
+                        hits[found] = (b, square);
+                        found += usize::from(square < limit && b as usize != a);
+                    }
+                    found
+                };
+                let mut fluid = 0;
+                fluid_cells.around(&r_a, |run| fluid = gather(run));
+                let mut all = fluid;
+                if fluid > 0 || least == f64::NEG_INFINITY {
+                    solid_cells.around(&r_a, |run| all = gather(run));
+                }
+                let before = index.len();
+                let mut take = |hits: &[(u32, f64)]| {
+                    for &(b, square) in hits {
+                        let (w, f) = smoothing.pair(square.sqrt());
+                        index.push(b);
+                        kernel.push(w);
+                        gradient.push(f);
+                    }
+                    kernel[before..].iter().sum::<f64>()
+                };
+                if take(&hits[..fluid]) >= least {
+                    take(&hits[fluid..all]);
+                } else {
+                    index.truncate(before);
+                    kernel.truncate(before);
+                    gradient.truncate(before);
                 }
                 counts.push((index.len() - before) as u32);
             }

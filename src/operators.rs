@@ -111,12 +111,7 @@ pub struct Moments<const D: usize> {
 
 impl<const D: usize> Default for Moments<D> {
     fn default() -> Self {
-        Self {
-            kernel_sum: 0.0,
-            defect: Vector::zeros(),
-            stiffness: 0.0,
-            matrix: Matrix::zeros(),
-        }
+        Self { kernel_sum: 0.0, defect: Vector::zeros(), stiffness: 0.0, matrix: Matrix::zeros() }
     }
 }
 

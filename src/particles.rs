@@ -44,7 +44,12 @@ pub struct Particles<const D: usize> {
 
 impl<const D: usize> Particles<D> {
     /// Solid particles in the order wall | dummy; `tie` numbers walls.
-    pub fn from_solid(position: Vec<Vector<D>>, normal: Vec<Vector<D>>, depth: Vec<f64>, tie: Vec<u32>) -> Self {
+    pub fn from_solid(
+        position: Vec<Vector<D>>,
+        normal: Vec<Vector<D>>,
+        depth: Vec<f64>,
+        tie: Vec<u32>,
+    ) -> Self {
         let count = position.len();
         Self {
             velocity: vec![Vector::zeros(); count],

@@ -43,8 +43,12 @@ impl<const D: usize> Report<'_, D> {
     /// The report for scripts.
     pub fn json(&self) -> Value {
         let t = &self.totals;
-        let stages: serde_json::Map<String, Value> =
-            self.scheme.stages().iter().map(|(name, spent)| (name.into(), spent.as_secs_f64().into())).collect();
+        let stages: serde_json::Map<String, Value> = self
+            .scheme
+            .stages()
+            .iter()
+            .map(|(name, spent)| (name.into(), spent.as_secs_f64().into()))
+            .collect();
         let series = self.comparison.series.iter().map(|s| {
             json!({
                 "name": s.name, "values": s.count, "rms_of_mean": s.rms, "largest_of_mean": s.largest,
@@ -126,13 +130,19 @@ impl<const D: usize> fmt::Display for Report<'_, D> {
         )?;
         line(
             "iterations",
-            format!("{:.1} mean, {} most, {} fallbacks", self.mean_iterations(), t.most_iterations, t.fallbacks),
+            format!(
+                "{:.1} mean, {} most, {} fallbacks",
+                self.mean_iterations(),
+                t.most_iterations,
+                t.fallbacks
+            ),
         )?;
         line("energy", format!("largest rise {:.4} % of the initial", 100.0 * self.rise()))?;
         if t.clipped + t.collisions > 0 {
             line("splash", format!("{} pressures clipped, {} collisions", t.clipped, t.collisions))?;
         }
-        let stages = self.scheme.stages().iter().map(|(name, spent)| format!("{name} {:.2}", spent.as_secs_f64()));
+        let stages =
+            self.scheme.stages().iter().map(|(name, spent)| format!("{name} {:.2}", spent.as_secs_f64()));
         line("stages, s", stages.collect::<Vec<_>>().join(", "))?;
         if let Some(memory) = peak_memory_mb() {
             line("memory", format!("{memory:.0} MB at most"))?;

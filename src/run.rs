@@ -87,10 +87,8 @@ impl<'a, const D: usize> Run<'a, D> {
         let resumed = resume_from(args, case)?;
 
         let scheme = Box::new(Isph::new(params.clone(), &particles, solver));
-        let control = StepControl {
-            fixed: case.time.step,
-            largest: case.time.step_max.unwrap_or(f64::INFINITY),
-        };
+        let control =
+            StepControl { fixed: case.time.step, largest: case.time.step_max.unwrap_or(f64::INFINITY) };
         let mut simulation =
             Simulation::new(particles, scheme, control, tank, params.gravity, params.support());
         simulation.start()?;
@@ -317,7 +315,10 @@ fn derived<const D: usize>(case: &CaseFile) -> String {
     let speed = (2.0 * params.gravity.norm() * fall).sqrt();
     let dt = case.time.step.unwrap_or_else(|| params.dt_limit(speed, 0.0));
     let steps = (case.time.until / dt).ceil();
-    line("time step", format!("about {dt:.3e} s at {speed:.2} m/s, {steps:.0} steps to {} s", case.time.until));
+    line(
+        "time step",
+        format!("about {dt:.3e} s at {speed:.2} m/s, {steps:.0} steps to {} s", case.time.until),
+    );
     line("memory", format!("about {memory:.0} MB"));
     // 3 microseconds a particle and step: the whole step of dam_break_2d on one core.
     let seconds = steps * (fluid + walls) as f64 * if D == 2 { 1.5e-6 } else { 6e-6 };

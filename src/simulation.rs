@@ -235,9 +235,8 @@ impl<const D: usize> Simulation<D> {
 
     /// Everything the rest of the run depends on.
     pub fn save(&self, writer: &mut checkpoint::Writer) {
-        let flat = |vectors: &[Vector<D>]| -> Vec<f64> {
-            vectors.iter().flat_map(|v| v.iter().copied()).collect()
-        };
+        let flat =
+            |vectors: &[Vector<D>]| -> Vec<f64> { vectors.iter().flat_map(|v| v.iter().copied()).collect() };
         let t = &self.totals;
         let counts =
             [t.clipped, t.collisions, t.left, t.through_walls, t.iterations, t.most_iterations, t.fallbacks];
@@ -258,7 +257,9 @@ impl<const D: usize> Simulation<D> {
             Ok(reader.f64(name)?.chunks_exact(D).map(Vector::from_column_slice).collect())
         };
         let foreign = || {
-            Error::Input("the checkpoint belongs to another case or another version: start the run afresh".into())
+            Error::Input(
+                "the checkpoint belongs to another case or another version: start the run afresh".into(),
+            )
         };
         let solids = self.particles.solids();
         let (position, velocity) = (vectors("position")?, vectors("velocity")?);
@@ -296,12 +297,7 @@ enum Fate {
 impl Fate {
     /// Above an open top a particle stays until it has passed a wall sideways: it may fall back. On any other open side
     /// it has left once it is a kernel support away.
-    fn of<const D: usize>(
-        r: &Vector<D>,
-        tank: &TankShape<D>,
-        gravity: &Vector<D>,
-        margin: f64,
-    ) -> Self {
+    fn of<const D: usize>(r: &Vector<D>, tank: &TankShape<D>, gravity: &Vector<D>, margin: f64) -> Self {
         let mut behind = None;
         let mut beyond_open = false;
         for d in 0..D {

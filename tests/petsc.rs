@@ -356,7 +356,8 @@ fn sizes_change_from_step_to_step() {
 #[ignore = "started by other tests"]
 fn sizes_in_child() {
     let mut solver =
-        PressureSolver::new(start(&std::env::var("SPHPETSC_TEST_OPTIONS").unwrap_or_default()), 1000).unwrap();
+        PressureSolver::new(start(&std::env::var("SPHPETSC_TEST_OPTIONS").unwrap_or_default()), 1000)
+            .unwrap();
     for nx in [20, 21, 21, 5, 40] {
         let (mut system, exact) = Lattice { cells: [nx, 20, 1], ..PLANE }.system();
         let record = solver.solve(&mut system).unwrap();
@@ -408,7 +409,8 @@ fn closed_boxes_have_a_pressure_up_to_a_constant() {
 #[ignore = "started by other tests"]
 fn closed_in_child() {
     let mut solver =
-        PressureSolver::new(start(&std::env::var("SPHPETSC_TEST_OPTIONS").unwrap_or_default()), 1000).unwrap();
+        PressureSolver::new(start(&std::env::var("SPHPETSC_TEST_OPTIONS").unwrap_or_default()), 1000)
+            .unwrap();
     let mut system = closed();
     let record = solver.solve(&mut system).unwrap();
     assert_eq!(record.fallback, None, "{record:?}");

@@ -239,7 +239,7 @@ pub struct TimeParams {
 
 impl TimeParams {
     /// Courant number of adaptive steps.
-    pub const COURANT: f64 = 0.25;
+    pub const COURANT: f64 = 0.35;
 }
 
 /// What is written, and how often, in s of flow.

@@ -339,7 +339,9 @@ impl Comparison {
             // A particle stands for water up to half a spacing ahead of it and stops half a spacing from a wall.
             let reached = |value: f64| value >= expected.level - case.spacing;
             let found = values(&expected.quantity)?.iter().position(|v| reached(*v));
-            comparison.arrivals.push(ArrivalTime { expected: expected.clone(), time: found.map(|k| times[k]) });
+            comparison
+                .arrivals
+                .push(ArrivalTime { expected: expected.clone(), time: found.map(|k| times[k]) });
         }
         Ok(comparison)
     }
@@ -361,9 +363,8 @@ impl SeriesError {
             .collect();
         let mean = wanted.iter().map(|(_, v)| v.abs()).sum::<f64>() / wanted.len().max(1) as f64;
         let errors = |shift: f64| wanted.iter().map(move |(t, v)| (interpolate(run, t - shift) - v) / mean);
-        let rms = |shift: f64| {
-            (errors(shift).map(|e| e * e).sum::<f64>() / wanted.len().max(1) as f64).sqrt()
-        };
+        let rms =
+            |shift: f64| (errors(shift).map(|e| e * e).sum::<f64>() / wanted.len().max(1) as f64).sqrt();
         // A tenth of the compared span either way, in five hundred steps: finer than the samples.
         let span = wanted.last().map_or(0.0, |(t, _)| 0.1 * t);
         let best = (-500..=500)

@@ -15,7 +15,6 @@
 //! support is too one-sided the symmetric form takes over. The linear momentum this costs is reported by the run.
 
 use super::{Fields, Scheme, Stages, StepReport};
-use crate::{Error, Result};
 use crate::boundary::DummyWalls;
 use crate::case::{KernelKind, LaplacianKind, Slip};
 use crate::kernel::{CubicSpline, LatticeSums, Quintic, Smoothing, WendlandC2};
@@ -28,6 +27,7 @@ use crate::ppe::{PressureSolve, source};
 use crate::terms::collision::Collisions;
 use crate::terms::shifting::Shifting;
 use crate::terms::{surface, viscosity};
+use crate::{Error, Result};
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -220,9 +220,8 @@ impl<const D: usize> Isph<D> {
     /// Neighbours, wet walls, and the moments of every support.
     fn survey(&mut self, particles: &mut Particles<D>) {
         let (walls, support) = (&self.walls, &mut self.support);
-        support.search(&self.params, &particles.position, particles.solids(), |a| {
-            walls.threshold(particles, a)
-        });
+        support
+            .search(&self.params, &particles.position, particles.solids(), |a| walls.threshold(particles, a));
         walls.mark_active(particles, &support.neighbors, &mut support.active);
         let surroundings = self.support.around(particles);
         let count = particles.len();

@@ -83,8 +83,13 @@ mod tests {
     #[test]
     fn a_film_keeps_a_reference_pressure() {
         let film = Moments::<2> { defect: Vector::zeros(), stiffness: 0.4, ..Moments::default() };
-        let lattice =
-            LatticeSums { kernel_sum: 1.0, own_share: 0.4, stiffness: 1.0, missing_distance: 1.0, near_share: 1.0 };
+        let lattice = LatticeSums {
+            kernel_sum: 1.0,
+            own_share: 0.4,
+            stiffness: 1.0,
+            missing_distance: 1.0,
+            near_share: 1.0,
+        };
         assert!(diagonal(&film, 1.0, &lattice, 0.01) > 0.3);
         assert_eq!(diagonal(&film, 0.0, &lattice, 0.01), 0.0);
     }
