@@ -1,5 +1,47 @@
-//! sphpetsc
+//! **sphpetsc** simulates floods hitting structures with smoothed particle hydrodynamics (SPH), after Jian, Liang, Shao,
+//! Chen & Yang (2016), *Int. J. Offshore Polar Eng.* 26, 33-40, doi:10.17736/ijope.2016.ak08 ("Jian et al." below).
+//!
+//! It solves the equations of an incompressible liquid with a free surface in Lagrangian form,
+//!
+//! div v = 0,   Dv/Dt = -(1/rho) grad p + nu laplacian v + g,
+//!
+//! by projection: particles carry v, a pressure Poisson equation (PPE) with the corrected Laplacian of Eq. (3) of Jian
+//! et al. makes v divergence-free, and PETSc with hypre solves it.
+//!
+//! # Notation
+//!
+//! | symbol | name in the code | meaning | unit |
+//! |---|---|---|---|
+//! | a, b | `a`, `b` | a particle and its neighbour | |
+//! | dx | `spacing` | particle spacing | m |
+//! | h | `smoothing_length` | smoothing length of the kernel W | m |
+//! | F | `gradient` | (dW/dr)/r, so that grad W_ab = F r_ab | 1/m^(D+2) |
+//! | V | `volume` | volume of every particle, dx^D | m^D |
+//! | S | `defect` | sum V grad W, zero in a full support | 1/m |
+//! | B | `correction` | makes the gradient exact for linear fields | |
+//! | s | `surface` | surface weight, 1 on the free surface, 0 inside | |
+//! | n / n_0 | `crowding` | kernel sum over its value on the regular lattice | |
+//!
+//! Everything is in SI units. In 2D masses, forces and energies are those of a slice 1 m wide.
+//!
+//! # Map
+//!
+//! From the bottom up; a module uses only those above it in this list.
+//!
+//! - [`error`]: what goes wrong, and the exit code of each kind
+//! - [`kernel`]: smoothing kernels and what they sum to on a lattice
+//! - `petsc`: the only unsafe code, a thin fence around PETSc (feature `petsc`)
+//! - [`particles`], [`geometry`], [`parallel`], [`neighbors`]: arrays, scenes on a lattice, ranks, who is near whom
+//! - [`operators`]: density, divergence, gradients, Laplacians; [`terms`]: viscosity, surface, shifting, collisions
+//! - [`boundary`]: walls of dummy particles
+//! - [`ppe`]: the pressure equation: matrix, source, solution
+//! - [`scheme`]: one time step; [`simulation`]: the time loop
+//! - [`output`]: particle files, tables, gauges, checkpoints; [`report`]: the end of a run
+//! - [`case`]: case files; [`patch_test`]: the operators on known fields
+//! - [`run`], [`cli`]: a run from the command line to its folder
+
 #![deny(unsafe_code)]
+
 pub mod boundary;
 pub mod case;
 pub mod cli;
@@ -20,4 +62,5 @@ pub mod run;
 pub mod scheme;
 pub mod simulation;
 pub mod terms;
+
 pub use error::{Error, Result};
