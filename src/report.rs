@@ -5,8 +5,9 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::case::CaseFile;
-use crate::output::observers::{Comparison, Energy};
+use crate::case::{Arrival, CaseFile};
+use crate::output::comparison::Comparison;
+use crate::output::observers::Energy;
 use crate::particles::Particles;
 use crate::scheme::Scheme;
 use crate::simulation::Totals;
@@ -148,6 +149,10 @@ impl<const D: usize> fmt::Display for Report<'_, D> {
             line("memory", format!("{memory:.0} MB at most"))?;
         }
         for s in &self.comparison.series {
+            if s.count == 0 {
+                line("reference", format!("{}: none of its values within the run", s.name))?;
+                continue;
+            }
             line(
                 "reference",
                 format!(
@@ -169,8 +174,6 @@ impl<const D: usize> fmt::Display for Report<'_, D> {
         line("files", self.folder.display().to_string())
     }
 }
-
-use crate::case::Arrival;
 
 /// Largest resident memory of this process in MB, where the system tells.
 fn peak_memory_mb() -> Option<f64> {

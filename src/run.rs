@@ -9,7 +9,8 @@ use crate::case::build::{self, Scene};
 use crate::case::{CaseFile, SchemeKind, read};
 use crate::cli::{self, RunArgs};
 use crate::output::checkpoint;
-use crate::output::observers::{Comparison, History, Snapshots, SolverLog};
+use crate::output::comparison::References;
+use crate::output::observers::{History, Snapshots, SolverLog};
 use crate::output::{Progress, RunFolder, Status, write_atomic};
 use crate::ppe::PressureSolve;
 use crate::report::Report;
@@ -28,10 +29,10 @@ pub fn run(args: &RunArgs, case: &CaseFile) -> Result<()> {
 
 /// Validates a case and says what a run would take; writes nothing.
 pub fn check(args: &RunArgs, case: &CaseFile) -> Result<()> {
-    let _ = args;
+    References::read(case, &args.reference_files(case)?)?;
     cli::print(&match case.dimension {
-        2 => derived::<2>(case),
-        _ => derived::<3>(case),
+        2 => derived::<2>(args, case)?,
+        _ => derived::<3>(args, case)?,
     })
 }
 
@@ -45,7 +46,7 @@ fn start_threads(threads: Option<usize>) -> Result<()> {
 
 fn run_in<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<()> {
     match case.scheme.kind {
-        SchemeKind::IsphDf => Run::<D>::prepare(args, case)?.to_the_end(),
+        SchemeKind::IsphDf => Run::<D>::prepare(args, case)?.finish(),
         SchemeKind::PatchTest => run_patch_test::<D>(args, case),
     }
 }
@@ -68,52 +69,66 @@ struct Run<'a, const D: usize> {
     solver_log: SolverLog,
     snapshots: Snapshots<D>,
     progress: Progress,
+    references: References<'a>,
     stop: Arc<AtomicBool>,
-    started: Instant,
+    began: Instant,
     next_checkpoint: f64,
     solver: String,
+    /// Whether the pressure of the first state could be found; if not, that is a failure of the run.
+    started: Result<()>,
 }
 
 impl<'a, const D: usize> Run<'a, D> {
     /// Everything that can be wrong is found here, before the first file is written.
     fn prepare(args: &'a RunArgs, case: &'a CaseFile) -> Result<Self> {
         let Scene { particles, params, tank, snapped } = build::scene::<D>(case);
-        for sentence in &snapped {
-            log::info!("{sentence} (no multiple of the spacing)");
-        }
+        let references = References::read(case, &args.reference_files(case)?)?;
+        let resumed = resume_from(args, case)?;
         let solver = pressure_solver(args, particles.fluid().len())?;
         let described = solver.describe();
-        log::info!("{described}");
-        let resumed = resume_from(args, case)?;
 
         let scheme = Box::new(Isph::new(params.clone(), &particles, solver));
         let control =
             StepControl { fixed: case.time.step, largest: case.time.step_max.unwrap_or(f64::INFINITY) };
         let mut simulation =
             Simulation::new(particles, scheme, control, tank, params.gravity, params.support());
-        simulation.start()?;
-        let (folder, since) = match resumed {
+        let started = match simulation.start() {
+            Err(wrong @ Error::Input(_)) => return Err(wrong),
+            // A saved state brings its pressure along.
+            _ if resumed.is_some() => Ok(()),
+            outcome => outcome,
+        };
+        for sentence in &snapped {
+            log::info!("{sentence} (no multiple of the spacing)");
+        }
+        log::info!("{described}");
+        let (folder, saved) = match resumed {
             None => (create_folder(args, case)?, None),
             Some((folder, state)) => {
                 simulation.restore(&state)?;
                 log::info!("resumed at t = {:.6} s, step {}", simulation.time, simulation.step);
-                (folder, Some(simulation.time))
+                (folder, Some(state))
             }
         };
-        if since.is_none() {
-            write_run_file(&folder, args, case)?;
+        write_run_file(&folder, args, case)?;
+        let since = saved.as_ref().map(|_| simulation.time);
+        let mut history = History::new(&folder, case, &params, since)?;
+        if let Some(state) = &saved {
+            history.restore(state)?;
         }
         let systems = (!args.save_systems.is_empty()).then_some(args.save_systems.clone());
         let mut run = Self {
-            history: History::new(&folder, case, &params, since)?,
+            history,
             solver_log: SolverLog::new(&folder, systems, since)?,
             snapshots: Snapshots::new(&folder, case, since)?,
             progress: Progress::new(case.time.until, args.quiet),
             stop: Arc::new(AtomicBool::new(false)),
-            started: Instant::now(),
+            references,
+            began: Instant::now(),
             next_checkpoint: case.output.checkpoint * (simulation.time / case.output.checkpoint).floor()
                 + case.output.checkpoint,
             solver: described,
+            started,
             args,
             case,
             folder,
@@ -129,16 +144,21 @@ impl<'a, const D: usize> Run<'a, D> {
         Ok(run)
     }
 
-    fn to_the_end(mut self) -> Result<()> {
-        let outcome = self.time_loop();
-        let saved = match &outcome {
-            Ok(()) | Err(Error::Interrupted(_)) => self.save(),
-            Err(_) => self.save_failure(),
-        };
+    fn finish(mut self) -> Result<()> {
+        let started = std::mem::replace(&mut self.started, Ok(()));
+        let outcome = started.inspect_err(|_| self.keep_failed_system()).and_then(|()| self.time_loop());
+        let closed = self.close(&outcome);
+        outcome.and(closed)
+    }
+
+    /// Saves the last state and reports, however the time loop ended.
+    fn close(mut self, outcome: &Result<()>) -> Result<()> {
+        self.save()?;
+        if matches!(outcome, Err(Error::Run(_) | Error::Petsc(_))) {
+            self.save_failing_state()?;
+        }
         self.progress.finish();
-        self.history.flush()?;
-        self.solver_log.flush()?;
-        let comparison = Comparison::of(&self.folder, self.case, &self.args.reference_files(self.case)?)?;
+        let comparison = self.references.compare(&self.folder.join("history.csv"))?;
         let report = Report {
             case: self.case,
             scheme: self.simulation.scheme.as_ref(),
@@ -149,17 +169,14 @@ impl<'a, const D: usize> Run<'a, D> {
             energy: self.history.energy(),
             comparison,
             solver: &self.solver,
-            wall_s: self.started.elapsed().as_secs_f64(),
+            wall_s: self.began.elapsed().as_secs_f64(),
             folder: self.folder.path(),
             failure: outcome.as_ref().err().map(ToString::to_string),
         };
         write_atomic(&self.folder.join("summary.json"), |file| {
             serde_json::to_writer_pretty(file, &report.json()).map_err(Into::into)
         })?;
-        if !self.args.quiet {
-            cli::print(&report.to_string())?;
-        }
-        outcome.and(saved)
+        if self.args.quiet { Ok(()) } else { cli::print(&report.to_string()) }
     }
 
     fn time_loop(&mut self) -> Result<()> {
@@ -191,19 +208,23 @@ impl<'a, const D: usize> Run<'a, D> {
         self.snapshots.write(&self.simulation)
     }
 
-    fn save(&self) -> Result<()> {
+    /// A checkpoint, and before it the rows that belong to it.
+    fn save(&mut self) -> Result<()> {
+        self.history.flush()?;
+        self.solver_log.flush()?;
         let mut writer = checkpoint::Writer::new();
         self.simulation.save(&mut writer);
+        self.history.save(&mut writer);
+        writer.u64("scene", &[scene_number(self.case)]);
         writer.save(&self.folder.join("checkpoint"), self.simulation.step).map(|_| ())
     }
 
-    /// The last good state as a checkpoint, the failing one as particles to look at.
-    fn save_failure(&mut self) -> Result<()> {
-        self.save()?;
+    /// The state in which the last step failed, as particles to look at.
+    fn save_failing_state(&mut self) -> Result<()> {
         self.simulation.swap_states();
-        self.snapshots.write_failed(&self.folder, &self.simulation)?;
+        let saved = self.snapshots.write_failed(&self.folder, &self.simulation);
         self.simulation.swap_states();
-        Ok(())
+        saved
     }
 
     fn keep_failed_system(&self) {
@@ -217,10 +238,10 @@ impl<'a, const D: usize> Run<'a, D> {
 fn pressure_solver(args: &RunArgs, size: usize) -> Result<Box<dyn PressureSolve>> {
     let session = crate::petsc::Session::start(&args.petsc)?;
     if session.size() > 1 {
-        return Err(Error::Input(format!(
-            "this version runs on one rank, and {} were started: leave mpiexec out",
-            session.size()
-        )));
+        let count = session.size();
+        let sentence = format!("this version runs on one rank, and {count} were started: leave mpiexec out");
+        // The first rank speaks for all: an empty message prints nothing.
+        return Err(Error::Input(if session.rank() == 0 { sentence } else { String::new() }));
     }
     Ok(Box::new(crate::ppe::solve::PressureSolver::new(session, size)?))
 }
@@ -254,7 +275,19 @@ fn resume_from(args: &RunArgs, case: &CaseFile) -> Result<Option<(RunFolder, che
         )));
     };
     let state = checkpoint::Reader::load(&state)?;
+    if state.u64("scene")? != [scene_number(case)] {
+        return Err(Error::Input(format!(
+            "--resume: {} holds another case (dimension, spacing, tank, boxes or blocks differ): name the case it ran",
+            path.display()
+        )));
+    }
     Ok(Some((RunFolder::open(&path)?, state)))
+}
+
+/// A number for what the particles of a case are made from; what else differs is no obstacle to going on.
+fn scene_number(case: &CaseFile) -> u64 {
+    let scene = (case.dimension, case.spacing, &case.tank, &case.boxes, &case.fluid.blocks);
+    crc32fast::hash(format!("{scene:?}").as_bytes()).into()
 }
 
 /// out/NAME-n with the largest n, or out/NAME.
@@ -291,8 +324,14 @@ fn petsc_version() -> String {
     "none".into()
 }
 
+/// The pressure solver a run would use, where this build has any.
+fn solver_in_force(args: &RunArgs, case: &CaseFile, size: usize) -> Result<Option<String>> {
+    let solves = cfg!(feature = "petsc") && case.scheme.kind == SchemeKind::IsphDf;
+    solves.then(|| pressure_solver(args, size).map(|solver| solver.describe())).transpose()
+}
+
 /// What `check` prints: counts, lengths, limits, and what a run would take.
-fn derived<const D: usize>(case: &CaseFile) -> String {
+fn derived<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<String> {
     let Scene { particles, params, snapped, .. } = build::scene::<D>(case);
     let [fluid, walls, dummies] =
         [particles.fluid().len(), particles.walls().len(), particles.dummies().len()];
@@ -311,6 +350,9 @@ fn derived<const D: usize>(case: &CaseFile) -> String {
             params.support()
         ),
     );
+    if let Some(solver) = solver_in_force(args, case, fluid)? {
+        line("solver", solver.replace('\n', "\n              "));
+    }
     let fall = particles.fluid().map(|a| particles.position[a][D - 1]).fold(0.0, f64::max);
     let speed = (2.0 * params.gravity.norm() * fall).sqrt();
     let dt = case.time.step.unwrap_or_else(|| params.dt_limit(speed, 0.0));
@@ -326,5 +368,5 @@ fn derived<const D: usize>(case: &CaseFile) -> String {
     for sentence in snapped {
         line("snapped", sentence);
     }
-    text
+    Ok(text)
 }

@@ -111,7 +111,8 @@ impl<const D: usize> Simulation<D> {
 
     /// Finds the pressure of the initial state; see [`Scheme::start`].
     pub fn start(&mut self) -> Result<()> {
-        self.scheme.start(&mut self.particles)
+        self.remember();
+        self.scheme.start(&mut self.particles).map_err(|error| self.located(error, self.dt))
     }
 
     fn stable_dt(&self) -> f64 {
@@ -134,7 +135,7 @@ impl<const D: usize> Simulation<D> {
         let dt = self.next_dt();
         self.remember();
         let outcome = self.scheme.step(&mut self.particles, dt).and_then(|report| {
-            self.watch()?;
+            self.watch(dt)?;
             Ok(report)
         });
         let report = match outcome {
@@ -166,9 +167,9 @@ impl<const D: usize> Simulation<D> {
         std::mem::swap(pressure, &mut self.particles.pressure);
     }
 
-    /// Finite and bounded?
-    fn watch(&self) -> Result<()> {
-        let limit = self.speed_limit;
+    /// Finite and bounded? A particle that leaves all its neighbours behind within one step has jumped, not flowed.
+    fn watch(&self, dt: f64) -> Result<()> {
+        let limit = self.speed_limit.min(self.margin / dt);
         let runs_away = |a: usize| {
             let finite = self.particles.position[a].iter().all(|x| x.is_finite());
             // The negation catches NaN.
@@ -176,10 +177,11 @@ impl<const D: usize> Simulation<D> {
         };
         let Some(a) = self.particles.fluid().find(|&a| runs_away(a)) else { return Ok(()) };
         Err(Error::Run(format!(
-            "particle {} has a speed of {:.3e} m/s, more than {limit:.3e} m/s is out of control: try a smaller time \
-             step (--set time.courant=...) or a finer spacing",
+            "particle {} is out of control, with a speed of {:.3e} m/s at {:?} (allowed are {limit:.3e} m/s): try a \
+             smaller time step (--set time.step=... or time.courant=...)",
             self.particles.id[a],
-            self.particles.velocity[a].norm()
+            self.particles.velocity[a].norm(),
+            self.particles.position[a].as_slice()
         )))
     }
 
@@ -302,8 +304,8 @@ impl Fate {
         let mut beyond_open = false;
         for d in 0..D {
             let overshoot = [tank.inner.min[d] - r[d], r[d] - tank.inner.max[d]];
-            for end in 0..2 {
-                if overshoot[end] <= 0.0 {
+            for (end, overshoot) in overshoot.into_iter().enumerate() {
+                if overshoot <= 0.0 {
                     continue;
                 }
                 if !tank.open[d][end] {
@@ -312,7 +314,7 @@ impl Fate {
                 }
                 beyond_open = true;
                 let outward = if end == 0 { -gravity[d] } else { gravity[d] };
-                if outward >= 0.0 && overshoot[end] > margin {
+                if outward >= 0.0 && overshoot > margin {
                     return Self::Left;
                 }
             }
@@ -340,10 +342,10 @@ mod tests {
 
     #[test]
     fn leavers_are_told_from_leaks() {
-        let inner = Aabb { min: Vector::zeros(), max: Vector::new(1.0, 1.0) };
+        let inner = Aabb { min: Vector::<2>::zeros(), max: Vector::<2>::new(1.0, 1.0) };
         let tank = TankShape { inner, open: [[false, true], [false, true]] };
-        let gravity = Vector::new(0.0, -9.81);
-        let fate = |x: f64, y: f64| Fate::of(&Vector::new(x, y), &tank, &gravity, 0.1);
+        let gravity = Vector::<2>::new(0.0, -9.81);
+        let fate = |x: f64, y: f64| Fate::of(&Vector::<2>::new(x, y), &tank, &gravity, 0.1);
         assert_eq!(fate(0.5, 0.5), Fate::Stays);
         assert_eq!(fate(0.5, 3.0), Fate::Stays, "falls back");
         assert_eq!(fate(-0.01, 3.0), Fate::Left, "over the rim");

@@ -4,6 +4,7 @@
 //! growing tables goes through [`write_atomic`], so that it appears whole or not at all.
 
 pub mod checkpoint;
+pub mod comparison;
 pub mod folder;
 pub mod observers;
 pub mod probes;

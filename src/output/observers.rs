@@ -1,20 +1,19 @@
-//! What is written while a run goes on: histories and gauges, solver log, particle files, and at its end the
-//! comparison with references.
+//! What is written while a run goes on: histories and gauges, solver log, particle files.
 
-use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use super::checkpoint;
 use super::folder::RunFolder;
 use super::probes::Gauges;
 use super::quantities::{self, Scene};
 use super::table::{Cell, Table};
 use super::vtk::{Field, FieldData, Pvd, write_vtp};
-use crate::case::{Arrival, CaseFile, Reference};
+use crate::Result;
+use crate::case::CaseFile;
 use crate::particles::Vector;
 use crate::scheme::StepReport;
 use crate::scheme::isph::Params;
 use crate::simulation::{Observer, Simulation};
-use crate::{Error, Result};
 
 /// Times at which something is due: every `interval`, and listed instants.
 #[derive(Debug, Clone)]
@@ -132,6 +131,20 @@ impl<const D: usize> History<D> {
         self.energy
     }
 
+    /// What the end table needs beyond the tables.
+    pub fn save(&self, writer: &mut checkpoint::Writer) {
+        let Energy { initial, lowest, largest_rise } = self.energy;
+        writer.f64("energy", &[initial, lowest, largest_rise]);
+    }
+
+    /// Goes on from a saved state.
+    pub fn restore(&mut self, reader: &checkpoint::Reader) -> Result<()> {
+        if let &[initial, lowest, largest_rise] = reader.f64("energy")? {
+            self.energy = Energy { initial, lowest, largest_rise };
+        }
+        Ok(())
+    }
+
     /// Writes out what is pending.
     pub fn flush(&mut self) -> Result<()> {
         self.table.flush()?;
@@ -153,7 +166,7 @@ impl<const D: usize> Observer<D> for History<D> {
 pub struct SolverLog {
     table: Table,
     systems: Schedule,
-    folder: std::path::PathBuf,
+    folder: PathBuf,
 }
 
 const SOLVER_COLUMNS: [&str; 12] = [
@@ -282,135 +295,4 @@ fn write_particles<const D: usize>(path: &Path, simulation: &Simulation<D>) -> R
             Field { name: "id", data: FieldData::Id(&id) },
         ],
     )
-}
-
-/// How a finished run compares with what its case refers to.
-#[derive(Debug, Clone, Default)]
-pub struct Comparison {
-    /// Differences from measured series.
-    pub series: Vec<SeriesError>,
-    /// Times of named events.
-    pub arrivals: Vec<ArrivalTime>,
-}
-
-/// Difference of a history column from a reference series.
-#[derive(Debug, Clone)]
-pub struct SeriesError {
-    /// Name of the reference.
-    pub name: String,
-    /// Values compared.
-    pub count: usize,
-    /// Root mean square difference over the mean of the reference values.
-    pub rms: f64,
-    /// Largest difference over the mean of the reference values.
-    pub largest: f64,
-    /// Time shift in s of the run that makes the rms smallest, and that rms.
-    pub best_shift: (f64, f64),
-}
-
-/// When a quantity reached a level.
-#[derive(Debug, Clone)]
-pub struct ArrivalTime {
-    /// What was expected.
-    pub expected: Arrival,
-    /// When it happened, in s; `None`: not within the run.
-    pub time: Option<f64>,
-}
-
-impl Comparison {
-    /// Compares history.csv of a run with the case's references and arrivals.
-    pub fn of(folder: &RunFolder, case: &CaseFile, files: &[(&Reference, &Path)]) -> Result<Self> {
-        if files.is_empty() && case.arrivals.is_empty() {
-            return Ok(Self::default());
-        }
-        let history = read_columns(&folder.join("history.csv"))?;
-        let times = column(&history, "time_s", "history.csv")?;
-        let values = |quantity: &str| {
-            let name = history.keys().find(|k| *k == quantity || k.starts_with(&format!("{quantity}_")));
-            column(&history, name.map_or(quantity, String::as_str), "history.csv")
-        };
-        let mut comparison = Self::default();
-        for (reference, file) in files {
-            let run: Vec<(f64, f64)> =
-                times.iter().copied().zip(values(&reference.quantity)?.iter().copied()).collect();
-            comparison.series.push(SeriesError::new(reference, file, &run)?);
-        }
-        for expected in &case.arrivals {
-            // A particle stands for water up to half a spacing ahead of it and stops half a spacing from a wall.
-            let reached = |value: f64| value >= expected.level - case.spacing;
-            let found = values(&expected.quantity)?.iter().position(|v| reached(*v));
-            comparison
-                .arrivals
-                .push(ArrivalTime { expected: expected.clone(), time: found.map(|k| times[k]) });
-        }
-        Ok(comparison)
-    }
-}
-
-impl SeriesError {
-    fn new(reference: &Reference, file: &Path, run: &[(f64, f64)]) -> Result<Self> {
-        let columns = read_columns(file)?;
-        let origin = file.display().to_string();
-        let times = column(&columns, &reference.time_column, &origin)?;
-        let values = column(&columns, &reference.value_column, &origin)?;
-        let end = run.last().map_or(0.0, |(t, _)| *t);
-        let wanted: Vec<(f64, f64)> = times
-            .iter()
-            .zip(values)
-            .filter(|(_, v)| reference.value_min.is_none_or(|least| **v >= least))
-            .map(|(t, v)| (t * reference.time_unit, v * reference.value_unit))
-            .filter(|(t, _)| *t <= end)
-            .collect();
-        let mean = wanted.iter().map(|(_, v)| v.abs()).sum::<f64>() / wanted.len().max(1) as f64;
-        let errors = |shift: f64| wanted.iter().map(move |(t, v)| (interpolate(run, t - shift) - v) / mean);
-        let rms =
-            |shift: f64| (errors(shift).map(|e| e * e).sum::<f64>() / wanted.len().max(1) as f64).sqrt();
-        // A tenth of the compared span either way, in five hundred steps: finer than the samples.
-        let span = wanted.last().map_or(0.0, |(t, _)| 0.1 * t);
-        let best = (-500..=500)
-            .map(|k| span * f64::from(k) / 500.0)
-            .map(|shift| (shift, rms(shift)))
-            .min_by(|a, b| a.1.total_cmp(&b.1));
-        Ok(Self {
-            name: reference.name.clone(),
-            count: wanted.len(),
-            rms: rms(0.0),
-            largest: errors(0.0).map(f64::abs).fold(0.0, f64::max),
-            best_shift: best.unwrap_or_default(),
-        })
-    }
-}
-
-/// Linear interpolation in a series with ascending times; constant beyond its ends.
-fn interpolate(series: &[(f64, f64)], time: f64) -> f64 {
-    let after = series.partition_point(|(t, _)| *t < time);
-    match (after.checked_sub(1).map(|k| series[k]), series.get(after)) {
-        (Some((t0, v0)), Some(&(t1, v1))) => v0 + (v1 - v0) * (time - t0) / (t1 - t0),
-        (Some((_, v)), None) | (None, Some(&(_, v))) => v,
-        (None, None) => f64::NAN,
-    }
-}
-
-/// Columns of a CSV file by name; words become NaN.
-fn read_columns(path: &Path) -> Result<BTreeMap<String, Vec<f64>>> {
-    let text = std::fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
-    let mut lines = text.lines();
-    let names: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
-    let mut columns: BTreeMap<String, Vec<f64>> =
-        names.iter().map(|name| ((*name).to_owned(), vec![])).collect();
-    for line in lines.filter(|line| !line.trim().is_empty()) {
-        for (name, cell) in names.iter().zip(line.split(',')) {
-            if let Some(column) = columns.get_mut(*name) {
-                column.push(cell.trim().parse().unwrap_or(f64::NAN));
-            }
-        }
-    }
-    Ok(columns)
-}
-
-fn column<'a>(columns: &'a BTreeMap<String, Vec<f64>>, name: &str, file: &str) -> Result<&'a Vec<f64>> {
-    columns.get(name).ok_or_else(|| {
-        let known = columns.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
-        Error::Input(format!("{file} has no column {name}: it has {known}"))
-    })
 }

@@ -19,8 +19,11 @@ pub struct Scene<'a, const D: usize> {
     pub spacing: f64,
 }
 
-/// Columns of history.csv after the time: name with unit, and how to get it.
-pub fn history<const D: usize>() -> [(&'static str, fn(&Scene<D>) -> f64); 9] {
+/// A column of history.csv: name with unit, and how to get it.
+pub type Quantity<const D: usize> = (&'static str, fn(&Scene<D>) -> f64);
+
+/// Columns of history.csv after the time.
+pub fn history<const D: usize>() -> [Quantity<D>; 9] {
     [
         ("front_m", front),
         ("kinetic_energy_j", kinetic_energy),

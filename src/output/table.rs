@@ -101,6 +101,10 @@ impl Table {
             match cell {
                 Cell::Number(value) => write!(self.pending, "{separator}{value:?}"),
                 Cell::Count(value) => write!(self.pending, "{separator}{value}"),
+                // Quoted where it would read as several cells (RFC 4180).
+                Cell::Word(value) if value.contains([',', '"']) => {
+                    write!(self.pending, "{separator}\"{}\"", value.replace('"', "\"\""))
+                }
                 Cell::Word(value) => write!(self.pending, "{separator}{value}"),
             }
             .expect("writing to a string does not fail");

@@ -1,0 +1,18 @@
+//! The scenes that all benchmarks share: a dam break in 2D and still water in 3D, at their own spacings.
+
+use sphpetsc::case::build::{self, Scene};
+use sphpetsc::case::{CaseFile, builtin, read};
+
+/// The 2D scene.
+pub const PLANE: &str = "dam_break_2d";
+/// The 3D scene.
+pub const SPACE: &str = "still_water_3d";
+
+/// A built-in case as particles.
+pub fn scene<const D: usize>(name: &str) -> Scene<D> {
+    build::scene(&case(name))
+}
+
+fn case(name: &str) -> CaseFile {
+    read::read(builtin::find(name).expect("a built-in case"), name, &[]).expect("a valid case")
+}
