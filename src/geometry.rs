@@ -242,12 +242,12 @@ mod tests {
     use crate::particles::Kind;
 
     fn tank2(open_top: bool) -> Shapes<2> {
-        let inner = Aabb { min: Vector::zeros(), max: Vector::new(0.8, 0.8) };
+        let inner = Aabb { min: Vector::zeros(), max: Vector::<2>::new(0.8, 0.8) };
         Shapes {
             tank: Some(TankShape { inner, open: [[false, false], [false, open_top]] }),
             boxes: vec![],
             blocks: vec![BlockShape {
-                extent: Aabb { min: Vector::zeros(), max: Vector::new(0.2, 0.4) },
+                extent: Aabb { min: Vector::zeros(), max: Vector::<2>::new(0.2, 0.4) },
                 velocity: Vector::zeros(),
             }],
         }
@@ -262,7 +262,7 @@ mod tests {
         assert_eq!(particles.walls().len(), 160 * 3 + 2);
         assert_eq!(particles.dummies().len(), 2 * (160 * 3) + 2 * (9 - 1));
         let lowest = particles.position[particles.solids()];
-        assert!((lowest - Vector::new(0.0025, 0.0025)).norm() < 1e-15);
+        assert!((lowest - Vector::<2>::new(0.0025, 0.0025)).norm() < 1e-15);
     }
 
     #[test]
@@ -271,11 +271,11 @@ mod tests {
         for a in particles.walls() {
             let r = particles.position[a];
             let expected = match (r.x < 0.0, r.x > 0.8, r.y < 0.0) {
-                (true, _, true) => Vector::new(1.0, 1.0).normalize(),
-                (_, true, true) => Vector::new(-1.0, 1.0).normalize(),
-                (true, _, false) => Vector::new(1.0, 0.0),
-                (_, true, false) => Vector::new(-1.0, 0.0),
-                _ => Vector::new(0.0, 1.0),
+                (true, _, true) => Vector::<2>::new(1.0, 1.0).normalize(),
+                (_, true, true) => Vector::<2>::new(-1.0, 1.0).normalize(),
+                (true, _, false) => Vector::<2>::new(1.0, 0.0),
+                (_, true, false) => Vector::<2>::new(-1.0, 0.0),
+                _ => Vector::<2>::new(0.0, 1.0),
             };
             assert!((particles.normal[a] - expected).norm() < 1e-12, "{r}");
         }
@@ -299,10 +299,10 @@ mod tests {
 
     #[test]
     fn a_box_on_the_floor_displaces_its_cells_and_is_hollow_only_when_thick() {
-        let inner = Aabb { min: Vector::zeros(), max: Vector::new(2.0, 1.0, 1.0) };
+        let inner = Aabb { min: Vector::zeros(), max: Vector::<3>::new(2.0, 1.0, 1.0) };
         let shapes = Shapes::<3> {
             tank: Some(TankShape { inner, open: [[false; 2], [false; 2], [false, true]] }),
-            boxes: vec![Aabb { min: Vector::new(1.0, 0.3, 0.0), max: Vector::new(1.4, 0.7, 0.4) }],
+            boxes: vec![Aabb { min: Vector::<3>::new(1.0, 0.3, 0.0), max: Vector::<3>::new(1.4, 0.7, 0.4) }],
             blocks: vec![],
         };
         let particles = Lattice::new(&shapes, 0.1).particles(4);

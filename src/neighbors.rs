@@ -202,7 +202,7 @@ impl<const D: usize> Neighbors<D> {
                 let mut fluid = 0;
                 fluid_cells.around(&r_a, |run| fluid = gather(run));
                 let mut all = fluid;
-                if fluid > 0 || least == f64::NEG_INFINITY {
+                if fluid > 0 || least <= 0.0 {
                     solid_cells.around(&r_a, |run| all = gather(run));
                 }
                 let before = index.len();
@@ -341,7 +341,7 @@ mod tests {
         agrees_with_naive(&scatter::<2>(700), 0.11);
         agrees_with_naive(&scatter::<3>(1200), 0.21);
         agrees_with_naive::<2>(&[], 0.1);
-        agrees_with_naive(&[Vector::new(3.0, 4.0)], 0.1);
+        agrees_with_naive(&[Vector::<2>::new(3.0, 4.0)], 0.1);
     }
 
     #[test]

@@ -162,7 +162,7 @@ mod tests {
     fn three() -> Particles<2> {
         let mut particles = Particles::default();
         for k in 0..3 {
-            particles.push_fluid(Vector::new(k as f64, 0.0), Vector::new(0.0, k as f64));
+            particles.push_fluid(Vector::<2>::new(k as f64, 0.0), Vector::<2>::new(0.0, k as f64));
         }
         particles
     }

@@ -192,3 +192,14 @@ fn a_reader_that_leaves_early_is_no_error() {
     assert!(output.status.success());
     assert!(output.stderr.is_empty());
 }
+
+#[cfg(not(feature = "petsc"))]
+#[test]
+fn without_petsc_a_flow_is_refused_and_the_rest_works() {
+    let found = sentence(CASE, &["my.toml"]);
+    assert!(found.contains("leaves PETSc out"), "{found}");
+    let folder = tempfile::tempdir().unwrap();
+    for args in [&["check", "dam_break_2d"][..], &["patch_test"]] {
+        assert!(sphpetsc(&folder, args).status.success(), "{args:?}");
+    }
+}
