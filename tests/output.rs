@@ -87,7 +87,8 @@ fn particles_come_back_through_vtkio() {
 fn block_tables_match_the_particle_counts() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("particles.vtp");
-    for count in COUNTS {
+    // Without particles there are no blocks.
+    for count in COUNTS.into_iter().filter(|count| *count > 0) {
         Sample::new(3, count).write(&path);
         let text = std::fs::read_to_string(&path).unwrap();
         assert!(text.contains(r#"header_type="UInt64""#));
@@ -139,7 +140,8 @@ fn leading_numbers(base64: &str) -> Vec<u64> {
     bytes.chunks_exact(8).map(|bytes| u64::from_le_bytes(bytes.try_into().unwrap())).collect()
 }
 
-/// The whole way a user goes: open the collection in ParaView, with its own readers.
+/// The way a user goes: open the collection in ParaView, with its own readers. Pictures need a display and are left to
+/// `tools/paraview_check.py --png`.
 #[test]
 fn paraview_opens_the_collection() {
     let installed = |program: &str| Command::new(program).arg("--help").output().is_ok();
@@ -158,20 +160,15 @@ fn paraview_opens_the_collection() {
         .unwrap();
     }
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/paraview_check.py");
-    let picture = folder.path().join("particles.png");
-    let mut command = if installed("xvfb-run") {
-        let mut command = Command::new("xvfb-run");
-        command.args(["-a", "pvpython"]).arg(script).arg("--png").arg(&picture);
-        command
-    } else {
-        eprintln!("without a picture: no xvfb-run (Debian package xvfb)");
-        let mut command = Command::new("pvpython");
-        command.arg(script);
-        command
-    };
-    let output =
-        command.arg(folder.path()).arg("--counts").args(COUNTS.map(|n| n.to_string())).output().unwrap();
+    let counts = COUNTS.map(|n| n.to_string());
+    let output = Command::new("pvpython")
+        .arg(script)
+        .arg(folder.path())
+        .arg("--counts")
+        .args(counts)
+        .output()
+        .unwrap();
     let said =
         String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && !said.contains("ERROR"), "{said}");
+    assert!(output.status.success() && !said.contains("ERR"), "{said}");
 }

@@ -859,7 +859,10 @@ until = 1
         assert_eq!((case.fluid.density, case.fluid.kinematic_viscosity), (1000.0, 1e-6));
         assert_eq!(case.fluid.blocks[0].velocity, [0.0, 0.0]);
         assert_eq!(case.scheme, SchemeParams::default());
-        assert_eq!(case.time, TimeParams { until: 1.0, step: None, courant: TimeParams::COURANT, step_max: None });
+        assert_eq!(
+            case.time,
+            TimeParams { until: 1.0, step: None, courant: TimeParams::COURANT, step_max: None }
+        );
         assert_eq!(case.output, OutputParams::for_run(1.0));
         assert_eq!(case.output.particles, 1.0 / 80.0);
         assert_eq!((case.seed, case.tank.unwrap().slip), (0, Slip::Free));

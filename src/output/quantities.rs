@@ -1,4 +1,4 @@
-//! Quantities of a whole scene at one instant: one small function each, one row of [`HISTORY`] each.
+//! Quantities of a whole scene at one instant: one small function each, one row of [`history`] each.
 
 use crate::particles::{Particles, Vector};
 use crate::scheme::Fields;
@@ -23,7 +23,7 @@ pub struct Scene<'a, const D: usize> {
 pub type Quantity<const D: usize> = (&'static str, fn(&Scene<D>) -> f64);
 
 /// Columns of history.csv after the time.
-pub fn history<const D: usize>() -> [Quantity<D>; 9] {
+pub fn history<const D: usize>() -> [Quantity<D>; 10] {
     [
         ("front_m", front),
         ("kinetic_energy_j", kinetic_energy),
@@ -32,6 +32,7 @@ pub fn history<const D: usize>() -> [Quantity<D>; 9] {
         ("fastest_m_per_s", fastest),
         ("centre_height_m", centre_height),
         ("largest_crowding", largest_crowding),
+        ("kernel_volume", kernel_volume),
         ("pressure_max_pa", largest_pressure),
         ("particles", |scene| scene.particles.fluid().len() as f64),
     ]
@@ -92,6 +93,15 @@ pub fn centre_height<const D: usize>(scene: &Scene<D>) -> f64 {
 /// Largest kernel sum of the liquid over that of the regular lattice: how much it is compressed at worst.
 pub fn largest_crowding<const D: usize>(scene: &Scene<D>) -> f64 {
     scene.particles.fluid().filter_map(|a| scene.fields.crowding.get(a)).copied().fold(0.0, f64::max)
+}
+
+/// Mean volume of a particle inside the liquid by its kernel sum, over that on the regular lattice: 1 if the liquid keeps its
+/// volume. Particles on the surface are left out, their sums are cut off.
+pub fn kernel_volume<const D: usize>(scene: &Scene<D>) -> f64 {
+    let fields = &scene.fields;
+    let inside = scene.particles.fluid().filter(|&a| fields.surface.get(a).is_some_and(|s| *s == 0.0));
+    let (sum, count) = inside.fold((0.0, 0), |(sum, count), a| (sum + 1.0 / fields.crowding[a], count + 1));
+    sum / f64::from(count)
 }
 
 /// Largest pressure of the liquid in Pa.

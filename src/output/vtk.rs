@@ -22,6 +22,13 @@ use crate::{Error, Result};
 /// zlib level: higher ones take longer and gain less than 1 % on particle data.
 const COMPRESSION_LEVEL: u32 = 1;
 
+/// A file without particles: for these vtkio leaves out `NumberOfPoints`, without which VTK refuses a piece.
+const EMPTY: &str = r#"<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64"><PolyData>
+<Piece NumberOfPoints="0" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" NumberOfPolys="0"><Points>
+<DataArray type="Float64" NumberOfComponents="3" format="ascii"></DataArray>
+</Points></Piece></PolyData></VTKFile>
+"#;
+
 /// A named quantity with one value a particle.
 #[derive(Debug, Clone, Copy)]
 pub struct Field<'a> {
@@ -47,6 +54,9 @@ pub enum FieldData<'a> {
 /// Writes particles at `positions` (flat, `dimension` coordinates each, in m) with their fields.
 pub fn write_vtp(path: &Path, dimension: usize, positions: &[f64], fields: &[Field]) -> Result<()> {
     let count = positions.len() / dimension;
+    if count == 0 {
+        return write_atomic(path, |file| file.write_all(EMPTY.as_bytes()));
+    }
     let pieces = pieces(count)
         .map(|range| Piece::Inline(Box::new(piece(range, dimension, positions, fields))))
         .collect();
@@ -69,8 +79,7 @@ pub fn write_vtp(path: &Path, dimension: usize, positions: &[f64], fields: &[Fie
 /// For an array of n times 32,768 bytes, vtkio 0.7.0-rc2 announces n + 1 full blocks, where the format
 /// wants n. VTK 9.1 forgives that, a reader that trusts the table need not. Arrays here have 1, 4, 8, 12
 /// or 24 bytes a particle, so only multiples of 4,096 particles meet it; giving the last one a piece of
-/// its own avoids it. For no particles, vtkio leaves out the attribute `NumberOfPoints`, without which
-/// VTK refuses a piece: then there is none.
+/// its own avoids it.
 fn pieces(count: usize) -> impl Iterator<Item = Range<usize>> {
     let split = if count.is_multiple_of(4096) { count.saturating_sub(1) } else { count };
     [0..split, split..count].into_iter().filter(|piece| !piece.is_empty())

@@ -6,7 +6,7 @@
 //!
 //! - C_ab = (1 - s_a) (2 / rho) V F_ab (B_a r_ab) . S_a is the correction of Eq. (3) of Jian et al. (2016), its
 //!   gradient expanded into the same neighbours, so that a row keeps its sparsity; s_a is the surface weight.
-//! - G_a is the diagonal term of the free surface, see [`surface`](crate::terms::surface).
+//! - G_a is the diagonal term of the free surface, see [`surface`].
 //! - A dummy's pressure is its wall's plus a known step (see [`boundary`](crate::boundary)): its coefficient goes
 //!   to the wall's column, the step to the right-hand side.
 //!
