@@ -8,10 +8,10 @@ use std::time::Instant;
 use crate::case::build::{self, Scene};
 use crate::case::{CaseFile, SchemeKind, read};
 use crate::cli::{self, RunArgs};
-use crate::output::checkpoint;
 use crate::output::comparison::References;
 use crate::output::observers::{History, Snapshots, SolverLog};
 use crate::output::{Progress, RunFolder, Status, write_atomic};
+use crate::output::{checkpoint, restart};
 use crate::ppe::PressureSolve;
 use crate::report::Report;
 use crate::scheme::isph::Isph;
@@ -105,7 +105,7 @@ impl<'a, const D: usize> Run<'a, D> {
         let (folder, saved) = match resumed {
             None => (create_folder(args, case)?, None),
             Some((folder, state)) => {
-                simulation.restore(&state)?;
+                restart::restore(&mut simulation, &state)?;
                 log::info!("resumed at t = {:.6} s, step {}", simulation.time, simulation.step);
                 (folder, Some(state))
             }
@@ -213,7 +213,7 @@ impl<'a, const D: usize> Run<'a, D> {
         self.history.flush()?;
         self.solver_log.flush()?;
         let mut writer = checkpoint::Writer::new();
-        self.simulation.save(&mut writer);
+        restart::save(&self.simulation, &mut writer);
         self.history.save(&mut writer);
         writer.u64("scene", &[scene_number(self.case)]);
         writer.save(&self.folder.join("checkpoint"), self.simulation.step).map(|_| ())

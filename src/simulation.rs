@@ -3,7 +3,6 @@
 //! The loop knows no file formats: an [`Observer`] looks at the simulation after each step.
 
 use crate::geometry::TankShape;
-use crate::output::checkpoint;
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Scheme, StepReport};
 use crate::{Error, Result};
@@ -233,58 +232,6 @@ impl<const D: usize> Simulation<D> {
         }
         let position = self.particles.position.clone();
         self.particles.retain_fluid(|a| fate(&position[a]) == Fate::Stays);
-    }
-
-    /// Everything the rest of the run depends on.
-    pub fn save(&self, writer: &mut checkpoint::Writer) {
-        let flat =
-            |vectors: &[Vector<D>]| -> Vec<f64> { vectors.iter().flat_map(|v| v.iter().copied()).collect() };
-        let t = &self.totals;
-        let counts =
-            [t.clipped, t.collisions, t.left, t.through_walls, t.iterations, t.most_iterations, t.fallbacks];
-        writer
-            .f64("time", &[self.time, self.dt])
-            .u64("step", &[self.step])
-            .u64("totals", &counts)
-            .f64("scheme", &self.scheme.state())
-            .u64("id", &self.particles.id)
-            .f64("position", &flat(&self.particles.position))
-            .f64("velocity", &flat(&self.particles.velocity))
-            .f64("pressure", &self.particles.pressure);
-    }
-
-    /// Goes on from a saved state of the same case.
-    pub fn restore(&mut self, reader: &checkpoint::Reader) -> Result<()> {
-        let vectors = |name: &str| -> Result<Vec<Vector<D>>> {
-            Ok(reader.f64(name)?.chunks_exact(D).map(Vector::from_column_slice).collect())
-        };
-        let foreign = || {
-            Error::Input(
-                "the checkpoint belongs to another case or another version: start the run afresh".into(),
-            )
-        };
-        let solids = self.particles.solids();
-        let (position, velocity) = (vectors("position")?, vectors("velocity")?);
-        let (pressure, id) = (reader.f64("pressure")?.to_vec(), reader.u64("id")?.to_vec());
-        let same = [velocity.len(), pressure.len(), id.len()].iter().all(|n| *n == position.len());
-        if !same || position.len() < solids || id[..solids] != self.particles.id[..solids] {
-            return Err(foreign());
-        }
-        let &[time, dt] = reader.f64("time")? else { return Err(foreign()) };
-        let &[step] = reader.u64("step")? else { return Err(foreign()) };
-        let &[clipped, collisions, left, through_walls, iterations, most_iterations, fallbacks] =
-            reader.u64("totals")?
-        else {
-            return Err(foreign());
-        };
-        self.totals =
-            Totals { clipped, collisions, left, through_walls, iterations, most_iterations, fallbacks };
-        (self.time, self.dt, self.step) = (time, dt, step);
-        self.particles.position = position;
-        self.particles.velocity = velocity;
-        self.particles.pressure = pressure;
-        self.particles.id = id;
-        self.scheme.set_state(reader.f64("scheme")?).ok_or_else(foreign)
     }
 }
 

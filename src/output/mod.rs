@@ -1,7 +1,8 @@
 //! What a run leaves behind: its folder, particle files, tables, checkpoints, and the line on the terminal.
 //!
-//! Nothing here knows SPH: callers hand over names, numbers and times in seconds. Every file but the
-//! growing tables goes through [`write_atomic`], so that it appears whole or not at all.
+//! [`folder`], [`vtk`], [`table`], [`checkpoint`] and [`progress`] know no SPH: callers hand over names, numbers and times
+//! in seconds. [`quantities`], [`probes`], [`observers`], [`comparison`] and [`restart`] look at a simulation with them.
+//! Every file but the growing tables goes through [`write_atomic`], so that it appears whole or not at all.
 
 pub mod checkpoint;
 pub mod comparison;
@@ -10,6 +11,7 @@ pub mod observers;
 pub mod probes;
 pub mod progress;
 pub mod quantities;
+pub mod restart;
 pub mod table;
 pub mod vtk;
 

@@ -1,0 +1,56 @@
+//! A simulation's state in a checkpoint: everything the rest of a run depends on, bit for bit.
+
+use super::checkpoint::{Reader, Writer};
+use crate::particles::Vector;
+use crate::simulation::{Simulation, Totals};
+use crate::{Error, Result};
+
+/// Everything the rest of the run depends on.
+pub fn save<const D: usize>(simulation: &Simulation<D>, writer: &mut Writer) {
+    let flat =
+        |vectors: &[Vector<D>]| -> Vec<f64> { vectors.iter().flat_map(|v| v.iter().copied()).collect() };
+    let t = &simulation.totals;
+    let counts =
+        [t.clipped, t.collisions, t.left, t.through_walls, t.iterations, t.most_iterations, t.fallbacks];
+    writer
+        .f64("time", &[simulation.time, simulation.dt])
+        .u64("step", &[simulation.step])
+        .u64("totals", &counts)
+        .f64("scheme", &simulation.scheme.state())
+        .u64("id", &simulation.particles.id)
+        .f64("position", &flat(&simulation.particles.position))
+        .f64("velocity", &flat(&simulation.particles.velocity))
+        .f64("pressure", &simulation.particles.pressure);
+}
+
+/// Goes on from a saved state of the same case.
+pub fn restore<const D: usize>(simulation: &mut Simulation<D>, reader: &Reader) -> Result<()> {
+    let vectors = |name: &str| -> Result<Vec<Vector<D>>> {
+        Ok(reader.f64(name)?.chunks_exact(D).map(Vector::from_column_slice).collect())
+    };
+    let foreign = || {
+        Error::Input("the checkpoint belongs to another case or another version: start the run afresh".into())
+    };
+    let solids = simulation.particles.solids();
+    let (position, velocity) = (vectors("position")?, vectors("velocity")?);
+    let (pressure, id) = (reader.f64("pressure")?.to_vec(), reader.u64("id")?.to_vec());
+    let same = [velocity.len(), pressure.len(), id.len()].iter().all(|n| *n == position.len());
+    if !same || position.len() < solids || id[..solids] != simulation.particles.id[..solids] {
+        return Err(foreign());
+    }
+    let &[time, dt] = reader.f64("time")? else { return Err(foreign()) };
+    let &[step] = reader.u64("step")? else { return Err(foreign()) };
+    let &[clipped, collisions, left, through_walls, iterations, most_iterations, fallbacks] =
+        reader.u64("totals")?
+    else {
+        return Err(foreign());
+    };
+    simulation.totals =
+        Totals { clipped, collisions, left, through_walls, iterations, most_iterations, fallbacks };
+    (simulation.time, simulation.dt, simulation.step) = (time, dt, step);
+    simulation.particles.position = position;
+    simulation.particles.velocity = velocity;
+    simulation.particles.pressure = pressure;
+    simulation.particles.id = id;
+    simulation.scheme.set_state(reader.f64("scheme")?).ok_or_else(foreign)
+}
