@@ -12,7 +12,7 @@
 //!
 //! The pressure gradient is the first-order exact difference form where the support allows it: symmetric pair forces
 //! would be conservative, but leave currents thirty to a hundred times stronger in still water. Where the
-//! support is too one-sided the symmetric form takes over. The linear momentum this costs is reported by the run.
+//! support is too one-sided the symmetric form takes over.
 
 use super::{Fields, Scheme, Stages, StepReport};
 use crate::boundary::DummyWalls;
@@ -169,8 +169,8 @@ const SORT_EVERY: u64 = 20;
 /// Acceleration limit of the step: dt <= 0.25 sqrt(h / |a|max) (Monaghan 1992).
 const ACCELERATION_NUMBER: f64 = 0.25;
 /// Gravity-wave limit of the step: dt <= 0.1 sqrt(h / |g|), about a hundredth of the period of the shortest waves that
-/// a surface of particles can carry. At 0.25 a tank with 10 % disorder stirs itself up within 4 s (kinetic energy
-/// 4e-6 of the potential and growing); at 0.1 and 0.05 it stays below 1e-6 for 9 s.
+/// a surface of particles can carry. At 0.25 a tank with disorder of 0.05 spacings stirs itself up within 4 s (kinetic
+/// energy 4e-6 of the potential and growing); at 0.1 and 0.05 it stays below 1e-6 for 6 s.
 const GRAVITY_WAVE_NUMBER: f64 = 0.1;
 /// Viscous limit of the step: dt <= 0.125 h^2 / nu (Morris et al. 1997).
 const VISCOUS_NUMBER: f64 = 0.125;

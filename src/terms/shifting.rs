@@ -7,7 +7,7 @@
 //! A move is capped at a tenth of a spacing. The speed u is the largest one relative to a neighbour, so that the result is the
 //! same in every inertial frame, and at least 0.3 sqrt(g dx), the speed at which gravity moves particles past each
 //! other: without this floor the rows of a calm surface drift into each other, since nothing else acts along the
-//! surface (kinetic energy of a tank filled with 10 % disorder, after 3 s: 6e-5 of the potential at a fifth
+//! surface (kinetic energy of a tank with disorder of 0.05 spacings, after 3 s: 6e-5 of the potential at a fifth
 //! of the floor, 9e-7 with it, 1e-5 at three times it). On a regular lattice grad C is zero and the floor without
 //! effect.
 //!
