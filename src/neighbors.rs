@@ -4,7 +4,7 @@
 //! A pair (a, b) is listed in row a if 0 < |r_a - r_b| < support. Each row holds its neighbours in cell order;
 //! the result does not depend on the number of threads.
 
-use crate::kernel::{Kernel, Smoothing};
+use crate::kernel::{CubicSpline, Kernel, KernelKind, Quintic, Smoothing, WendlandC2};
 use crate::particles::Vector;
 use rayon::prelude::*;
 
@@ -155,6 +155,29 @@ struct Chunk {
 const CHUNK: usize = 512;
 
 impl<const D: usize> Neighbors<D> {
+    /// [`update`](Self::update) with the kernel of a kind and smoothing length `h` in m: the choice is made once a search.
+    pub fn search(
+        &mut self,
+        kernel: KernelKind,
+        h: f64,
+        position: &[Vector<D>],
+        solids: usize,
+        threshold: impl Fn(usize) -> f64 + Sync,
+    ) {
+        let support = kernel.support() * h;
+        match kernel {
+            KernelKind::WendlandC2 => {
+                self.update(position, solids, &Smoothing::<D, WendlandC2>::new(h), support, threshold);
+            }
+            KernelKind::CubicSpline => {
+                self.update(position, solids, &Smoothing::<D, CubicSpline>::new(h), support, threshold);
+            }
+            KernelKind::Quintic => {
+                self.update(position, solids, &Smoothing::<D, Quintic>::new(h), support, threshold);
+            }
+        }
+    }
+
     /// Rows for the particles `a` whose kernel sum over fluid neighbours, sum_b W_ab in 1/m^D, is at least
     /// `threshold(a)`; the others get empty rows. An infinite threshold skips the particle altogether.
     /// Particles numbered below `solids` are the solids; walls far from the liquid so cost next to nothing.
@@ -299,7 +322,6 @@ impl<'a> Row<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kernel::WendlandC2;
 
     /// A deterministic scatter in [0, 1)^D (splitmix64).
     fn scatter<const D: usize>(count: usize) -> Vec<Vector<D>> {

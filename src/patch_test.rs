@@ -31,9 +31,8 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use crate::Result;
-use crate::case::{CaseFile, FluidBlock, KernelKind, build};
+use crate::case::{CaseFile, FluidBlock, build};
 use crate::geometry::Aabb;
-use crate::kernel::{CubicSpline, Quintic, Smoothing, WendlandC2};
 use crate::neighbors::Neighbors;
 use crate::operators::{Moments, Surroundings};
 use crate::output::{Cell, RunFolder, Table, write_atomic};
@@ -313,18 +312,8 @@ impl<const D: usize> Patch<D> {
 }
 
 fn search<const D: usize>(params: &isph::Params<D>, position: &[Vector<D>]) -> Neighbors<D> {
-    let (h, support) = (params.smoothing_length(), params.support());
     let mut found = Neighbors::default();
-    let all = |_| f64::NEG_INFINITY;
-    match params.kernel {
-        KernelKind::WendlandC2 => {
-            found.update(position, 0, &Smoothing::<D, WendlandC2>::new(h), support, all);
-        }
-        KernelKind::CubicSpline => {
-            found.update(position, 0, &Smoothing::<D, CubicSpline>::new(h), support, all);
-        }
-        KernelKind::Quintic => found.update(position, 0, &Smoothing::<D, Quintic>::new(h), support, all),
-    }
+    found.search(params.kernel, params.smoothing_length(), position, 0, |_| f64::NEG_INFINITY);
     found
 }
 

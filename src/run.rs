@@ -116,10 +116,9 @@ impl<'a, const D: usize> Run<'a, D> {
         if let Some(state) = &saved {
             history.restore(state)?;
         }
-        let systems = (!args.save_systems.is_empty()).then_some(args.save_systems.clone());
         let mut run = Self {
             history,
-            solver_log: SolverLog::new(&folder, systems, since)?,
+            solver_log: SolverLog::new(&folder, &args.save_systems, since)?,
             snapshots: Snapshots::new(&folder, case, since)?,
             progress: Progress::new(case.time.until, args.quiet),
             stop: Arc::new(AtomicBool::new(false)),

@@ -32,7 +32,7 @@ pub struct DummyWalls<const D: usize> {
 }
 
 impl<const D: usize> DummyWalls<D> {
-    /// Measures the open support of each wall particle; `full` is [`Neighbors`] of the solids alone.
+    /// Measures the open support of each wall particle; `solids` are the neighbours of solids among themselves.
     pub fn new(
         particles: &Particles<D>,
         solids: &Neighbors<D>,

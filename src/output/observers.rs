@@ -186,13 +186,13 @@ const SOLVER_COLUMNS: [&str; 12] = [
 
 impl SolverLog {
     /// Opens the table; `systems` are the instants whose pressure systems are kept.
-    pub fn new(folder: &RunFolder, systems: Option<Vec<f64>>, since: Option<f64>) -> Result<Self> {
+    pub fn new(folder: &RunFolder, systems: &[f64], since: Option<f64>) -> Result<Self> {
         let path = folder.join("solver.csv");
         let table = match since {
             None => Table::create(&path, &SOLVER_COLUMNS)?,
             Some(time) => Table::resume(&path, &SOLVER_COLUMNS, time)?,
         };
-        let systems = Schedule::new(0.0, systems.unwrap_or_default(), since.unwrap_or(0.0));
+        let systems = Schedule::new(0.0, systems.to_vec(), since.unwrap_or(0.0));
         Ok(Self { table, systems, folder: folder.join("systems") })
     }
 

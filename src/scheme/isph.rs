@@ -115,28 +115,6 @@ impl<const D: usize> Support<D> {
         let Self { neighbors, active, volume } = self;
         Surroundings { position: &particles.position, neighbors, active, volume: *volume }
     }
-
-    fn search(
-        &mut self,
-        params: &Params<D>,
-        position: &[Vector<D>],
-        solids: usize,
-        threshold: impl Fn(usize) -> f64 + Sync,
-    ) {
-        let (h, support) = (params.smoothing_length(), params.support());
-        let Self { neighbors, .. } = self;
-        match params.kernel {
-            KernelKind::WendlandC2 => {
-                neighbors.update(position, solids, &Smoothing::<D, WendlandC2>::new(h), support, threshold);
-            }
-            KernelKind::CubicSpline => {
-                neighbors.update(position, solids, &Smoothing::<D, CubicSpline>::new(h), support, threshold);
-            }
-            KernelKind::Quintic => {
-                neighbors.update(position, solids, &Smoothing::<D, Quintic>::new(h), support, threshold);
-            }
-        }
-    }
 }
 
 /// The projection scheme.
@@ -183,7 +161,13 @@ impl<const D: usize> Isph<D> {
         let mut support = Support { neighbors: Neighbors::default(), active: vec![], volume };
         let (solids, walls) = (particles.solids(), particles.walls());
         let all_walls = |a| if walls.contains(&a) { f64::NEG_INFINITY } else { f64::INFINITY };
-        support.search(&params, &particles.position[..solids], solids, all_walls);
+        support.neighbors.search(
+            params.kernel,
+            params.smoothing_length(),
+            &particles.position[..solids],
+            solids,
+            all_walls,
+        );
         let weight = params.density * params.gravity;
         Self {
             walls: DummyWalls::new(particles, &support.neighbors, &lattice, volume, weight),
@@ -220,8 +204,9 @@ impl<const D: usize> Isph<D> {
     /// Neighbours, wet walls, and the moments of every support.
     fn survey(&mut self, particles: &mut Particles<D>) {
         let (walls, support) = (&self.walls, &mut self.support);
-        support
-            .search(&self.params, &particles.position, particles.solids(), |a| walls.threshold(particles, a));
+        let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
+        let threshold = |a| walls.threshold(particles, a);
+        support.neighbors.search(kernel, h, &particles.position, particles.solids(), threshold);
         walls.mark_active(particles, &support.neighbors, &mut support.active);
         let surroundings = self.support.around(particles);
         let count = particles.len();
