@@ -37,7 +37,7 @@ use crate::neighbors::Neighbors;
 use crate::operators::{Moments, Surroundings};
 use crate::output::{Cell, RunFolder, Table, write_atomic};
 use crate::particles::Vector;
-use crate::scheme::isph;
+use crate::scheme::Params;
 
 /// Names of the compared operators.
 const OPERATORS: [&str; 3] = ["Shao-Lo", "Eq. (3)", "Schwaiger"];
@@ -190,7 +190,7 @@ pub struct Report {
 
 /// The particles of the case's first fluid block, or of a unit block if it has none.
 struct Patch<const D: usize> {
-    params: isph::Params<D>,
+    params: Params<D>,
     position: Vec<Vector<D>>,
     neighbors: Neighbors<D>,
     active: Vec<bool>,
@@ -311,7 +311,7 @@ impl<const D: usize> Patch<D> {
     }
 }
 
-fn search<const D: usize>(params: &isph::Params<D>, position: &[Vector<D>]) -> Neighbors<D> {
+fn search<const D: usize>(params: &Params<D>, position: &[Vector<D>]) -> Neighbors<D> {
     let mut found = Neighbors::default();
     found.search(params.kernel, params.smoothing_length(), position, 0, |_| f64::NEG_INFINITY);
     found

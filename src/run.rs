@@ -87,7 +87,7 @@ impl<'a, const D: usize> Run<'a, D> {
         let solver = pressure_solver(args, particles.fluid().len())?;
         let described = solver.describe();
 
-        let scheme = Box::new(Isph::new(params.clone(), &particles, solver));
+        let scheme = Box::new(Isph::new(params.clone(), build::isph(case), &particles, solver));
         let control =
             StepControl { fixed: case.time.step, largest: case.time.step_max.unwrap_or(f64::INFINITY) };
         let mut simulation =
@@ -354,7 +354,7 @@ fn derived<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<String> {
     }
     let fall = particles.fluid().map(|a| particles.position[a][D - 1]).fold(0.0, f64::max);
     let speed = (2.0 * params.gravity.norm() * fall).sqrt();
-    let dt = case.time.step.unwrap_or_else(|| params.dt_limit(speed, 0.0));
+    let dt = case.time.step.unwrap_or_else(|| build::isph(case).dt_limit(&params, speed, 0.0));
     let steps = (case.time.until / dt).ceil();
     line(
         "time step",

@@ -1,7 +1,7 @@
 //! Properties of the discrete operators on tanks of water, in 2D and 3D.
 
 use sphpetsc::boundary::DummyWalls;
-use sphpetsc::case::{KernelKind, build, read};
+use sphpetsc::case::{KernelKind, LaplacianKind, build, read};
 use sphpetsc::kernel::{LatticeSums, Smoothing, WendlandC2};
 use sphpetsc::neighbors::Neighbors;
 use sphpetsc::operators::{Moments, Surroundings};
@@ -9,7 +9,7 @@ use sphpetsc::parallel::Ranks;
 use sphpetsc::particles::{Matrix, Particles, Vector};
 use sphpetsc::ppe::matrix::{Assembler, Inputs, NO_ROW};
 use sphpetsc::ppe::{Needs, source};
-use sphpetsc::scheme::isph;
+use sphpetsc::scheme::Params;
 use sphpetsc::terms::surface;
 
 /// Spacing in m.
@@ -19,7 +19,7 @@ const LEVEL: f64 = 0.5;
 
 /// A tank of water or, without walls, a free block, surveyed as the scheme does it.
 struct Water<const D: usize> {
-    params: isph::Params<D>,
+    params: Params<D>,
     particles: Particles<D>,
     neighbors: Neighbors<D>,
     active: Vec<bool>,
@@ -224,7 +224,7 @@ fn still_water<const D: usize>() {
         lattice: &water.lattice,
         density: water.params.density,
         spacing: DX,
-        laplacian: water.params.laplacian,
+        laplacian: LaplacianKind::Schwaiger,
     };
     assembler.assemble(&inputs, &Ranks, Needs::default());
     let weight = water.params.density * -water.params.gravity[D - 1];

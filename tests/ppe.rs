@@ -11,14 +11,14 @@ use sphpetsc::parallel::Ranks;
 use sphpetsc::particles::{Matrix, Particles, Vector};
 use sphpetsc::ppe::matrix::{Assembler, Inputs, NEAR, NO_ROW};
 use sphpetsc::ppe::{Needs, Rows};
-use sphpetsc::scheme::isph;
+use sphpetsc::scheme::Params;
 use sphpetsc::terms::surface;
 
 const ALL: Needs = Needs { symmetric: true, sparse: true };
 
 /// A scene surveyed as the scheme does it, with a source of no particular shape.
 struct Water<const D: usize> {
-    params: isph::Params<D>,
+    params: Params<D>,
     particles: Particles<D>,
     neighbors: Neighbors<D>,
     active: Vec<bool>,

@@ -61,7 +61,7 @@ fn systems() -> Vec<PressureSystem> {
     let inner = PressureSolver::new(Session::start(&[]).unwrap(), scene.particles.fluid().len()).unwrap();
     let last = Rc::new(RefCell::new(PressureSystem::default()));
     let solver = Recorder { inner, last: last.clone() };
-    let scheme = Isph::new(scene.params.clone(), &scene.particles, Box::new(solver));
+    let scheme = Isph::new(scene.params.clone(), build::isph(&case), &scene.particles, Box::new(solver));
     let control = StepControl { fixed: None, largest: f64::INFINITY };
     let (gravity, support) = (scene.params.gravity, scene.params.support());
     let mut simulation =

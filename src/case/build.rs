@@ -3,7 +3,7 @@
 use super::{CaseFile, SchemeParams, Side};
 use crate::geometry::{Aabb, BlockShape, Lattice, Shapes, TankShape};
 use crate::particles::{Particles, Vector};
-use crate::scheme::isph;
+use crate::scheme::{Params, isph};
 use crate::terms::collision::Collisions;
 
 /// A scene ready to run.
@@ -11,8 +11,8 @@ use crate::terms::collision::Collisions;
 pub struct Scene<const D: usize> {
     /// All particles at their start.
     pub particles: Particles<D>,
-    /// Parameters of the ISPH scheme.
-    pub params: isph::Params<D>,
+    /// What all schemes share.
+    pub params: Params<D>,
     /// Inner walls of the tank, if there is one.
     pub tank: Option<TankShape<D>>,
     /// One sentence for each length that did not fit the lattice.
@@ -34,9 +34,8 @@ pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
     Scene { particles, params, tank: shapes.tank, snapped: lattice.snapped }
 }
 
-fn params<const D: usize>(case: &CaseFile) -> isph::Params<D> {
-    let SchemeParams { collision_distance, collision_restitution, .. } = case.scheme;
-    isph::Params {
+fn params<const D: usize>(case: &CaseFile) -> Params<D> {
+    Params {
         spacing: case.spacing,
         gravity: vector(&case.gravity),
         density: case.fluid.density,
@@ -44,6 +43,13 @@ fn params<const D: usize>(case: &CaseFile) -> isph::Params<D> {
         slip: case.tank.as_ref().map(|tank| tank.slip).unwrap_or_default(),
         kernel: case.scheme.kernel,
         smoothing_ratio: case.scheme.smoothing_ratio,
+    }
+}
+
+/// The ISPH method of a case.
+pub fn isph(case: &CaseFile) -> isph::Method {
+    let SchemeParams { collision_distance, collision_restitution, .. } = case.scheme;
+    isph::Method {
         laplacian: case.scheme.laplacian,
         density_relaxation: case.scheme.density_relaxation,
         shifting: case.scheme.shifting,

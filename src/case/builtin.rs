@@ -7,7 +7,8 @@ macro_rules! cases {
 }
 
 /// Names and TOML texts, in the order in which they are listed.
-const CASES: [(&str, &str); 4] = cases!["dam_break_2d", "still_water_2d", "still_water_3d", "patch_test"];
+const CASES: [(&str, &str); 5] =
+    cases!["dam_break_2d", "dam_break_3d_fixed", "still_water_2d", "still_water_3d", "patch_test"];
 
 /// The case that runs when none is named.
 pub const DEFAULT: &str = CASES[0].0;

@@ -11,8 +11,8 @@ use super::vtk::{Field, FieldData, Pvd, write_vtp};
 use crate::Result;
 use crate::case::CaseFile;
 use crate::particles::Vector;
+use crate::scheme::Params;
 use crate::scheme::StepReport;
-use crate::scheme::isph::Params;
 use crate::simulation::{Observer, Simulation};
 
 /// Times at which something is due: every `interval`, and listed instants.
@@ -93,8 +93,7 @@ impl<const D: usize> History<D> {
     }
 
     fn scene<'a>(&self, simulation: &'a Simulation<D>) -> Scene<'a, D> {
-        let mass = self.params.density * self.params.spacing.powi(D as i32);
-        Scene::of(simulation, mass, self.params.gravity, self.params.spacing)
+        Scene::of(simulation, self.params.mass(), self.params.gravity, self.params.spacing)
     }
 
     /// The row of the initial state.

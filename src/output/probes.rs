@@ -12,7 +12,7 @@ use super::table::Cell;
 use crate::case::{Probe, build::vector};
 use crate::kernel::{CubicSpline, Kernel, KernelKind, Quintic, Smoothing, WendlandC2};
 use crate::particles::Vector;
-use crate::scheme::isph::Params;
+use crate::scheme::Params;
 use crate::simulation::Simulation;
 
 /// What a gauge says where there is no water.
@@ -91,7 +91,7 @@ impl<const D: usize> Gauges<D> {
                 }
             }
         }
-        let volume = self.params.spacing.powi(D as i32);
+        let volume = self.params.volume();
         (wet * volume > WET).then(|| sum / weights)
     }
 

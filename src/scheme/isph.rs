@@ -14,15 +14,15 @@
 //! would be conservative, but leave currents thirty to a hundred times stronger in still water. Where the
 //! support is too one-sided the symmetric form takes over.
 
-use super::{Fields, Scheme, Stages, StepReport};
+use super::{Fields, Params, Scheme, Stages, StepReport};
 use crate::boundary::DummyWalls;
-use crate::case::{KernelKind, LaplacianKind, Slip};
-use crate::kernel::{CubicSpline, LatticeSums, Quintic, Smoothing, WendlandC2};
+use crate::case::LaplacianKind;
+use crate::kernel::LatticeSums;
 use crate::neighbors::Neighbors;
 use crate::operators::{Moments, Surroundings};
 use crate::parallel::Ranks;
 use crate::particles::{Particles, ReorderScratch, Vector};
-use crate::ppe::matrix::{Assembler, Inputs, NEAR};
+use crate::ppe::matrix::{Assembler, Inputs};
 use crate::ppe::{PressureSolve, source};
 use crate::terms::collision::Collisions;
 use crate::terms::shifting::Shifting;
@@ -31,23 +31,9 @@ use crate::{Error, Result};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Physical and numerical parameters of one ISPH run, SI units.
+/// What ISPH needs to know beyond what all schemes share; SI units.
 #[derive(Debug, Clone)]
-pub struct Params<const D: usize> {
-    /// Particle spacing dx in m.
-    pub spacing: f64,
-    /// Gravitational acceleration in m/s2.
-    pub gravity: Vector<D>,
-    /// Liquid density in kg/m3.
-    pub density: f64,
-    /// Kinematic viscosity in m2/s.
-    pub kinematic_viscosity: f64,
-    /// Tangential condition at walls.
-    pub slip: Slip,
-    /// Kernel.
-    pub kernel: KernelKind,
-    /// h / dx.
-    pub smoothing_ratio: f64,
+pub struct Method {
     /// Laplacian of the pressure equation.
     pub laplacian: LaplacianKind,
     /// gamma of the density source.
@@ -62,44 +48,18 @@ pub struct Params<const D: usize> {
     pub courant: f64,
 }
 
-impl<const D: usize> Params<D> {
-    /// Smoothing length h in m.
-    pub fn smoothing_length(&self) -> f64 {
-        self.smoothing_ratio * self.spacing
-    }
-
-    /// Support radius in m.
-    pub fn support(&self) -> f64 {
-        self.kernel.support() * self.smoothing_length()
-    }
-
+impl Method {
     /// Largest stable time step in s at a largest speed in m/s and a largest acceleration in m/s2.
-    pub fn dt_limit(&self, speed: f64, acceleration: f64) -> f64 {
-        let h = self.smoothing_length();
+    pub fn dt_limit<const D: usize>(&self, params: &Params<D>, speed: f64, acceleration: f64) -> f64 {
+        let h = params.smoothing_length();
         let limits = [
-            self.courant * self.spacing / speed,
+            self.courant * params.spacing / speed,
             ACCELERATION_NUMBER * (h / acceleration).sqrt(),
-            GRAVITY_WAVE_NUMBER * (h / self.gravity.norm()).sqrt(),
-            VISCOUS_NUMBER * h * h / self.kinematic_viscosity,
+            GRAVITY_WAVE_NUMBER * (h / params.gravity.norm()).sqrt(),
+            VISCOUS_NUMBER * h * h / params.kinematic_viscosity,
         ];
         // A limit that is not there divides by zero: infinite.
         limits.into_iter().fold(f64::INFINITY, f64::min)
-    }
-
-    /// Sums over the regular lattice of this kernel and spacing.
-    pub fn lattice_sums(&self) -> LatticeSums {
-        let (h, support, near) = (self.smoothing_length(), self.support(), NEAR * self.spacing);
-        match self.kernel {
-            KernelKind::WendlandC2 => {
-                LatticeSums::new(&Smoothing::<D, WendlandC2>::new(h), support, self.spacing, near)
-            }
-            KernelKind::CubicSpline => {
-                LatticeSums::new(&Smoothing::<D, CubicSpline>::new(h), support, self.spacing, near)
-            }
-            KernelKind::Quintic => {
-                LatticeSums::new(&Smoothing::<D, Quintic>::new(h), support, self.spacing, near)
-            }
-        }
     }
 }
 
@@ -120,6 +80,7 @@ impl<const D: usize> Support<D> {
 /// The projection scheme.
 pub struct Isph<const D: usize> {
     params: Params<D>,
+    method: Method,
     ranks: Ranks,
     walls: DummyWalls<D>,
     lattice: LatticeSums,
@@ -155,9 +116,14 @@ const VISCOUS_NUMBER: f64 = 0.125;
 
 impl<const D: usize> Isph<D> {
     /// Scheme for `particles`, with a solver for its pressure systems.
-    pub fn new(params: Params<D>, particles: &Particles<D>, solver: Box<dyn PressureSolve>) -> Self {
+    pub fn new(
+        params: Params<D>,
+        method: Method,
+        particles: &Particles<D>,
+        solver: Box<dyn PressureSolve>,
+    ) -> Self {
         let lattice = params.lattice_sums();
-        let volume = params.spacing.powi(D as i32);
+        let volume = params.volume();
         let mut support = Support { neighbors: Neighbors::default(), active: vec![], volume };
         let (solids, walls) = (particles.solids(), particles.walls());
         let all_walls = |a| if walls.contains(&a) { f64::NEG_INFINITY } else { f64::INFINITY };
@@ -188,6 +154,7 @@ impl<const D: usize> Isph<D> {
             steps: 0,
             stages: Stages::default(),
             params,
+            method,
         }
     }
 
@@ -231,7 +198,8 @@ impl<const D: usize> Isph<D> {
 
     /// v* of liquid and walls, and the source of every pressure row.
     fn predict(&mut self, particles: &Particles<D>, dt: f64) {
-        let Params { gravity, kinematic_viscosity: nu, slip, density_relaxation, .. } = self.params;
+        let Params { gravity, kinematic_viscosity: nu, slip, .. } = self.params;
+        let density_relaxation = self.method.density_relaxation;
         let surroundings = self.support.around(particles);
         let solids = particles.solids();
         self.predicted.resize(particles.len(), Vector::zeros());
@@ -269,7 +237,7 @@ impl<const D: usize> Isph<D> {
             lattice: &self.lattice,
             density: self.params.density,
             spacing: self.params.spacing,
-            laplacian: self.params.laplacian,
+            laplacian: self.method.laplacian,
         };
         self.assembler.assemble(&inputs, &self.ranks, self.solver.needs());
     }
@@ -277,7 +245,7 @@ impl<const D: usize> Isph<D> {
     /// Pressures back to the particles; returns how many were clipped.
     fn take_pressure(&mut self, particles: &mut Particles<D>) -> usize {
         let mut clipped = 0;
-        if self.params.clip_negative_pressure {
+        if self.method.clip_negative_pressure {
             for p in &mut self.assembler.system.pressure {
                 if *p < 0.0 {
                     (*p, clipped) = (0.0, clipped + 1);
@@ -314,7 +282,7 @@ impl<const D: usize> Isph<D> {
     }
 
     fn collide(&mut self, particles: &mut Particles<D>) -> usize {
-        match self.params.collisions {
+        match self.method.collisions {
             Some(collisions) => collisions.apply(particles, &self.support.neighbors, &mut self.pairs),
             None => 0,
         }
@@ -332,9 +300,9 @@ impl<const D: usize> Isph<D> {
 
     fn shift(&mut self, particles: &mut Particles<D>, dt: f64) {
         let first = particles.solids();
-        let Params { shifting, spacing, gravity, .. } = self.params;
+        let Params { spacing, gravity, .. } = self.params;
         let h = self.params.smoothing_length();
-        let shifting = Shifting::new(shifting, h, spacing, gravity.norm(), dt);
+        let shifting = Shifting::new(self.method.shifting, h, spacing, gravity.norm(), dt);
         let surroundings = self.support.around(particles);
         let (moments, velocity, surface) = (&self.moments, &particles.velocity, &self.surface);
         self.change.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, change)| {
@@ -377,7 +345,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
                 self.finish_positions(particles, dt);
             }
         });
-        if solved.is_ok() && self.params.shifting > 0.0 {
+        if solved.is_ok() && self.method.shifting > 0.0 {
             watch.time("shift", || self.shift(particles, dt));
         }
         self.stages = watch;
@@ -410,7 +378,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
 
     fn max_dt(&self, particles: &Particles<D>) -> f64 {
         let square = particles.velocity.iter().map(|v| v.norm_squared()).fold(0.0, f64::max);
-        self.params.dt_limit(self.ranks.max(square.sqrt()), self.acceleration)
+        self.method.dt_limit(&self.params, self.ranks.max(square.sqrt()), self.acceleration)
     }
 
     fn fields(&self) -> Fields<'_, D> {

@@ -3,10 +3,70 @@
 pub mod isph;
 
 use crate::Result;
-use crate::particles::Particles;
+use crate::case::Slip;
+use crate::kernel::{CubicSpline, KernelKind, LatticeSums, Quintic, Smoothing, WendlandC2};
+use crate::particles::{Particles, Vector};
 use crate::ppe::SolveRecord;
+use crate::ppe::matrix::NEAR;
 use std::path::Path;
 use std::time::Duration;
+
+/// What all schemes share: the liquid and its discretisation, SI units.
+#[derive(Debug, Clone)]
+pub struct Params<const D: usize> {
+    /// Particle spacing dx in m.
+    pub spacing: f64,
+    /// Gravitational acceleration in m/s2.
+    pub gravity: Vector<D>,
+    /// Liquid density in kg/m3.
+    pub density: f64,
+    /// Kinematic viscosity in m2/s.
+    pub kinematic_viscosity: f64,
+    /// Tangential condition at walls.
+    pub slip: Slip,
+    /// Kernel.
+    pub kernel: KernelKind,
+    /// h / dx.
+    pub smoothing_ratio: f64,
+}
+
+impl<const D: usize> Params<D> {
+    /// Smoothing length h in m.
+    pub fn smoothing_length(&self) -> f64 {
+        self.smoothing_ratio * self.spacing
+    }
+
+    /// Support radius in m.
+    pub fn support(&self) -> f64 {
+        self.kernel.support() * self.smoothing_length()
+    }
+
+    /// Volume of one particle in m^D.
+    pub fn volume(&self) -> f64 {
+        self.spacing.powi(D as i32)
+    }
+
+    /// Mass of one particle in kg (in 2D for 1 m of width).
+    pub fn mass(&self) -> f64 {
+        self.density * self.volume()
+    }
+
+    /// Sums over the regular lattice of this kernel and spacing.
+    pub fn lattice_sums(&self) -> LatticeSums {
+        let (h, support, near) = (self.smoothing_length(), self.support(), NEAR * self.spacing);
+        match self.kernel {
+            KernelKind::WendlandC2 => {
+                LatticeSums::new(&Smoothing::<D, WendlandC2>::new(h), support, self.spacing, near)
+            }
+            KernelKind::CubicSpline => {
+                LatticeSums::new(&Smoothing::<D, CubicSpline>::new(h), support, self.spacing, near)
+            }
+            KernelKind::Quintic => {
+                LatticeSums::new(&Smoothing::<D, Quintic>::new(h), support, self.spacing, near)
+            }
+        }
+    }
+}
 
 /// A method that advances particles in time.
 pub trait Scheme<const D: usize> {

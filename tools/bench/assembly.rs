@@ -24,12 +24,12 @@ fn assembly<const D: usize>(scheme: &Isph<D>) -> Duration {
 }
 
 fn assemble<const D: usize>(criterion: &mut Criterion, name: &str) {
-    let Scene { particles, params, .. } = scenes::scene::<D>(name);
+    let (Scene { particles, params, .. }, method) = scenes::scene::<D>(name);
     let mut group = criterion.benchmark_group(name);
     group.sample_size(10);
     for (matrices, needs) in MATRICES {
         let catcher = catcher::Catcher { needs, system: Rc::default() };
-        let mut scheme = Isph::new(params.clone(), &particles, Box::new(catcher));
+        let mut scheme = Isph::new(params.clone(), method.clone(), &particles, Box::new(catcher));
         let dt = scheme.max_dt(&particles);
         group.bench_function(matrices, |bencher| {
             // Whole steps from the same state, of which only this stage counts.

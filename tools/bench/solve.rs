@@ -20,11 +20,11 @@ const METHODS: [[&str; 2]; 5] =
 
 /// The pressure system of the first step.
 fn system<const D: usize>(name: &str) -> PressureSystem {
-    let Scene { mut particles, params, .. } = scenes::scene::<D>(name);
+    let (Scene { mut particles, params, .. }, method) = scenes::scene::<D>(name);
     let caught = Rc::new(RefCell::default());
     let needs = Needs { symmetric: true, sparse: true };
     let catcher = catcher::Catcher { needs, system: Rc::clone(&caught) };
-    let mut scheme = Isph::new(params, &particles, Box::new(catcher));
+    let mut scheme = Isph::new(params, method, &particles, Box::new(catcher));
     let dt = scheme.max_dt(&particles);
     scheme.step(&mut particles, dt).expect("nothing to fail");
     caught.take()

@@ -2,15 +2,17 @@
 
 use sphpetsc::case::build::{self, Scene};
 use sphpetsc::case::{CaseFile, builtin, read};
+use sphpetsc::scheme::isph::Method;
 
 /// The 2D scene.
 pub const PLANE: &str = "dam_break_2d";
 /// The 3D scene.
 pub const SPACE: &str = "still_water_3d";
 
-/// A built-in case as particles.
-pub fn scene<const D: usize>(name: &str) -> Scene<D> {
-    build::scene(&case(name))
+/// A built-in case as particles, and its ISPH method.
+pub fn scene<const D: usize>(name: &str) -> (Scene<D>, Method) {
+    let case = case(name);
+    (build::scene(&case), build::isph(&case))
 }
 
 fn case(name: &str) -> CaseFile {
