@@ -28,6 +28,8 @@ pub struct TankShape<const D: usize> {
     pub inner: Aabb<D>,
     /// `open[axis] = [lower side open, upper side open]`.
     pub open: [[bool; 2]; D],
+    /// Axes along which the scene repeats itself: no walls there.
+    pub periodic: [bool; D],
 }
 
 /// Liquid at the start.
@@ -83,7 +85,7 @@ impl<const D: usize> CellBox<D> {
 pub struct Lattice<const D: usize> {
     spacing: f64,
     origin: Vector<D>,
-    tank: Option<(CellBox<D>, [[bool; 2]; D])>,
+    tank: Option<(CellBox<D>, TankShape<D>)>,
     boxes: Vec<CellBox<D>>,
     blocks: Vec<(CellBox<D>, Vector<D>)>,
     /// One sentence for each length that had to be snapped.
@@ -100,7 +102,7 @@ impl<const D: usize> Lattice<D> {
         };
         let mut lattice =
             Self { spacing, origin, tank: None, boxes: vec![], blocks: vec![], snapped: vec![] };
-        lattice.tank = shapes.tank.map(|t| (lattice.snap("tank", &t.inner), t.open));
+        lattice.tank = shapes.tank.map(|t| (lattice.snap("tank", &t.inner), t));
         lattice.boxes = shapes.boxes.iter().map(|b| lattice.snap("box", b)).collect();
         lattice.blocks =
             shapes.blocks.iter().map(|b| (lattice.snap("fluid block", &b.extent), b.velocity)).collect();
@@ -125,8 +127,26 @@ impl<const D: usize> Lattice<D> {
 
     /// Lower and upper corner of box `k` as snapped.
     pub fn snapped_box(&self, k: usize) -> Aabb<D> {
+        self.extent(&self.boxes[k])
+    }
+
+    /// The tank as snapped.
+    pub fn snapped_tank(&self) -> Option<TankShape<D>> {
+        self.tank.as_ref().map(|(cells, shape)| TankShape { inner: self.extent(cells), ..*shape })
+    }
+
+    fn extent(&self, cells: &CellBox<D>) -> Aabb<D> {
         let corner = |cell: Cell<D>| self.origin + Vector::from_fn(|d, _| cell[d] as f64 * self.spacing);
-        Aabb { min: corner(self.boxes[k].min), max: corner(self.boxes[k].max) }
+        Aabb { min: corner(cells.min), max: corner(cells.max) }
+    }
+
+    /// The cell of the tank that a cell beyond a periodic side repeats.
+    fn wrapped(&self, cell: &Cell<D>) -> Cell<D> {
+        let Some((tank, shape)) = &self.tank else { return *cell };
+        std::array::from_fn(|d| match shape.periodic[d] {
+            true => tank.min[d] + (cell[d] - tank.min[d]).rem_euclid(tank.max[d] - tank.min[d]),
+            false => cell[d],
+        })
     }
 
     fn centre(&self, cell: &Cell<D>) -> Vector<D> {
@@ -135,6 +155,7 @@ impl<const D: usize> Lattice<D> {
 
     /// Space that liquid can enter.
     fn is_open(&self, cell: &Cell<D>) -> bool {
+        let cell = &self.wrapped(cell);
         self.tank.is_none_or(|(tank, _)| tank.contains(cell)) && !self.boxes.iter().any(|b| b.contains(cell))
     }
 
@@ -142,7 +163,7 @@ impl<const D: usize> Lattice<D> {
         if self.boxes.iter().any(|b| b.contains(cell)) {
             return true;
         }
-        let Some((tank, open)) = &self.tank else { return false };
+        let Some((tank, TankShape { open, .. })) = &self.tank else { return false };
         let mut outside = false;
         for d in 0..D {
             let (below, above) = (cell[d] < tank.min[d], cell[d] >= tank.max[d]);
@@ -199,8 +220,12 @@ impl<const D: usize> Lattice<D> {
     /// All solid cells that can lie within `layers` of open space, each once.
     fn solid_regions(&self, layers: i64) -> Vec<Cell<D>> {
         let mut cells = vec![];
-        if let Some((tank, _)) = &self.tank {
-            let grown = CellBox { min: tank.min.map(|c| c - layers), max: tank.max.map(|c| c + layers) };
+        if let Some((tank, shape)) = &self.tank {
+            let grow = |d: usize| if shape.periodic[d] { 0 } else { layers };
+            let grown = CellBox {
+                min: std::array::from_fn(|d| tank.min[d] - grow(d)),
+                max: std::array::from_fn(|d| tank.max[d] + grow(d)),
+            };
             cells.extend(grown.cells().filter(|c| !tank.contains(c) && self.is_solid(c)));
         }
         for (k, solid) in self.boxes.iter().enumerate() {
@@ -244,7 +269,7 @@ mod tests {
     fn tank2(open_top: bool) -> Shapes<2> {
         let inner = Aabb { min: Vector::zeros(), max: Vector::<2>::new(0.8, 0.8) };
         Shapes {
-            tank: Some(TankShape { inner, open: [[false, false], [false, open_top]] }),
+            tank: Some(TankShape { inner, open: [[false, false], [false, open_top]], periodic: [false; 2] }),
             boxes: vec![],
             blocks: vec![BlockShape {
                 extent: Aabb { min: Vector::zeros(), max: Vector::<2>::new(0.2, 0.4) },
@@ -301,7 +326,11 @@ mod tests {
     fn a_box_on_the_floor_displaces_its_cells_and_is_hollow_only_when_thick() {
         let inner = Aabb { min: Vector::zeros(), max: Vector::<3>::new(2.0, 1.0, 1.0) };
         let shapes = Shapes::<3> {
-            tank: Some(TankShape { inner, open: [[false; 2], [false; 2], [false, true]] }),
+            tank: Some(TankShape {
+                inner,
+                open: [[false; 2], [false; 2], [false, true]],
+                periodic: [false; 3],
+            }),
             boxes: vec![Aabb { min: Vector::<3>::new(1.0, 0.3, 0.0), max: Vector::<3>::new(1.4, 0.7, 0.4) }],
             blocks: vec![],
         };

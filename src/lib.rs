@@ -31,7 +31,8 @@
 //! - [`error`]: what goes wrong, and the exit code of each kind
 //! - [`kernel`]: smoothing kernels and what they sum to on a lattice
 //! - `petsc`: the only unsafe code, a thin fence around PETSc (feature `petsc`)
-//! - [`particles`], [`geometry`], [`parallel`], [`neighbors`]: arrays, scenes on a lattice, ranks, who is near whom
+//! - [`particles`], [`geometry`], [`parallel`], [`halo`], [`neighbors`]: arrays, scenes on a lattice,
+//!   ranks, ghosts, who is near whom
 //! - [`operators`]: density, divergence, gradients, Laplacians; [`terms`]: viscosity, surface, shifting, collisions
 //! - [`boundary`]: walls of dummy particles
 //! - [`ppe`]: the pressure equation: matrix, source, solution
@@ -47,6 +48,7 @@ pub mod case;
 pub mod cli;
 pub mod error;
 pub mod geometry;
+pub mod halo;
 pub mod kernel;
 pub mod neighbors;
 pub mod operators;

@@ -5,8 +5,30 @@
 //! the result does not depend on the number of threads.
 
 use crate::kernel::{CubicSpline, Kernel, KernelKind, Quintic, Smoothing, WendlandC2};
-use crate::particles::Vector;
+use crate::particles::{Particles, Vector};
 use rayon::prelude::*;
+use std::ops::Range;
+
+/// Which of the particles are solids, and which ghosts.
+#[derive(Debug, Clone)]
+pub struct Layout {
+    /// Solids; the fluid follows them.
+    pub solids: Range<usize>,
+    /// Ghosts of solids; those of the fluid follow them. Ghosts get no rows.
+    pub solid_ghosts: Range<usize>,
+}
+
+impl Layout {
+    /// `solids` solids, then fluid up to `count` particles, and no ghosts.
+    pub fn without_ghosts(solids: usize, count: usize) -> Self {
+        Self { solids: 0..solids, solid_ghosts: count..count }
+    }
+
+    /// That of `particles`.
+    pub fn of<const D: usize>(particles: &Particles<D>) -> Self {
+        Self { solids: 0..particles.solids(), solid_ghosts: particles.solid_ghosts() }
+    }
+}
 
 /// Particles sorted into cubic cells at least one support radius wide.
 #[derive(Debug, Clone, Default)]
@@ -66,14 +88,14 @@ impl<const D: usize> Grid<D> {
 }
 
 impl<const D: usize> CellList<D> {
-    /// Sorts the particles with numbers `first..first + positions.len()` by cell (counting sort).
-    fn sort(&mut self, grid: &Grid<D>, first: usize, positions: &[Vector<D>]) {
+    /// Sorts the particles with the numbers in `ranges` by cell (counting sort).
+    fn sort(&mut self, grid: &Grid<D>, ranges: [Range<usize>; 2], position: &[Vector<D>]) {
         self.grid = *grid;
         let cells = grid.extent.iter().product::<usize>();
-        let mut cell_of = std::mem::take(&mut self.cell_of);
-        cell_of.clear();
-        cell_of.extend(positions.iter().map(|r| grid.cell(r)));
-        self.cell_of = cell_of;
+        let [first, second] = ranges;
+        let members = first.chain(second);
+        self.cell_of.clear();
+        self.cell_of.extend(members.clone().map(|a| grid.cell(&position[a])));
         self.start.clear();
         self.start.resize(cells + 1, 0);
         for &c in &self.cell_of {
@@ -83,10 +105,10 @@ impl<const D: usize> CellList<D> {
             self.start[c + 1] += self.start[c];
         }
         self.sorted.clear();
-        self.sorted.resize(positions.len(), 0);
-        for (k, &c) in self.cell_of.iter().enumerate() {
+        self.sorted.resize(self.cell_of.len(), 0);
+        for (a, &c) in members.zip(&self.cell_of) {
             // start[c] walks through its cell and ends at the next cell's start: shifted back below.
-            self.sorted[self.start[c as usize] as usize] = (first + k) as u32;
+            self.sorted[self.start[c as usize] as usize] = a as u32;
             self.start[c as usize] += 1;
         }
         self.start.copy_within(0..cells, 1);
@@ -161,38 +183,40 @@ impl<const D: usize> Neighbors<D> {
         kernel: KernelKind,
         h: f64,
         position: &[Vector<D>],
-        solids: usize,
+        layout: &Layout,
         threshold: impl Fn(usize) -> f64 + Sync,
     ) {
         let support = kernel.support() * h;
         match kernel {
             KernelKind::WendlandC2 => {
-                self.update(position, solids, &Smoothing::<D, WendlandC2>::new(h), support, threshold);
+                self.update(position, layout, &Smoothing::<D, WendlandC2>::new(h), support, threshold);
             }
             KernelKind::CubicSpline => {
-                self.update(position, solids, &Smoothing::<D, CubicSpline>::new(h), support, threshold);
+                self.update(position, layout, &Smoothing::<D, CubicSpline>::new(h), support, threshold);
             }
             KernelKind::Quintic => {
-                self.update(position, solids, &Smoothing::<D, Quintic>::new(h), support, threshold);
+                self.update(position, layout, &Smoothing::<D, Quintic>::new(h), support, threshold);
             }
         }
     }
 
     /// Rows for the particles `a` whose kernel sum over fluid neighbours, sum_b W_ab in 1/m^D, is at least
     /// `threshold(a)`; the others get empty rows. An infinite threshold skips the particle altogether.
-    /// Particles numbered below `solids` are the solids; walls far from the liquid so cost next to nothing.
+    /// Solids have a cell list of their own, so that walls far from the liquid cost next to nothing.
     pub fn update<K: Kernel>(
         &mut self,
         position: &[Vector<D>],
-        solids: usize,
+        layout: &Layout,
         smoothing: &Smoothing<D, K>,
         support: f64,
         threshold: impl Fn(usize) -> f64 + Sync,
     ) {
         let grid = Grid::covering(position, support);
-        self.solid_cells.sort(&grid, 0, &position[..solids]);
-        self.fluid_cells.sort(&grid, solids, &position[solids..]);
-        let count = position.len();
+        let Layout { solids, solid_ghosts } = layout.clone();
+        let count = solid_ghosts.start;
+        let fluid = [solids.end..count, solid_ghosts.end..position.len()];
+        self.solid_cells.sort(&grid, [solids, solid_ghosts], position);
+        self.fluid_cells.sort(&grid, fluid, position);
         self.chunks.resize_with(count.div_ceil(CHUNK), Chunk::default);
         let (solid_cells, fluid_cells) = (&self.solid_cells, &self.fluid_cells);
         let limit = support * support;
@@ -301,7 +325,7 @@ impl<const D: usize> Neighbors<D> {
     /// Numbers of `position` (from 0) in cell order: the order that makes neighbours close in memory. Uses this list's
     /// buffers and so forgets its cells.
     pub fn cell_order(&mut self, position: &[Vector<D>], support: f64) -> &[u32] {
-        self.fluid_cells.sort(&Grid::covering(position, support), 0, position);
+        self.fluid_cells.sort(&Grid::covering(position, support), [0..position.len(), 0..0], position);
         &self.fluid_cells.sorted
     }
 }
@@ -348,7 +372,8 @@ mod tests {
         // Twice with different splits: buffers of the first search must not leak into the second.
         for solids in [0, position.len() / 3] {
             let threshold = |a| if a % 5 == 3 { f64::INFINITY } else { 0.0 };
-            neighbors.update(position, solids, &smoothing, support, threshold);
+            let layout = Layout::without_ghosts(solids, position.len());
+            neighbors.update(position, &layout, &smoothing, support, threshold);
             for a in 0..position.len() {
                 let mut found = neighbors.row(a).index.to_vec();
                 found.sort_unstable();

@@ -1,7 +1,8 @@
 //! Particles as a structure of arrays, laid out as one rank of many.
 //!
 //! Order in every array: wall | dummy | fluid | ghost. Walls and dummies keep their places for a whole run;
-//! the fluid may be reordered and shrink; ghosts (copies of other ranks' particles, none on one rank) come last.
+//! the fluid may be reordered and shrink; ghosts ([`halo`](crate::halo)) come last, those of solids before those of
+//! fluid.
 
 use std::ops::Range;
 
@@ -40,6 +41,8 @@ pub struct Particles<const D: usize> {
     /// For each wall and dummy particle: distance to the solid's face in m (half a spacing for walls).
     pub depth: Vec<f64>,
     walls: usize,
+    /// For each ghost: the particle of which it is a copy.
+    originals: Vec<u32>,
 }
 
 impl<const D: usize> Particles<D> {
@@ -60,18 +63,69 @@ impl<const D: usize> Particles<D> {
             tie,
             normal,
             depth,
+            originals: vec![],
         }
     }
 
-    /// Appends one fluid particle.
+    /// Appends one fluid particle; there must be no ghosts yet.
     pub fn push_fluid(&mut self, position: Vector<D>, velocity: Vector<D>) {
+        debug_assert!(self.originals.is_empty());
         self.id.push(self.id.len() as u64);
         self.position.push(position);
         self.velocity.push(velocity);
         self.pressure.push(0.0);
     }
 
-    /// Number of particles of all kinds.
+    /// Takes all ghosts away.
+    pub fn drop_ghosts(&mut self) {
+        let owned = self.owned();
+        self.position.truncate(owned);
+        self.velocity.truncate(owned);
+        self.pressure.truncate(owned);
+        self.id.truncate(owned);
+        self.originals.clear();
+    }
+
+    /// Appends a ghost of each of `originals`, in ascending order, at the same place.
+    pub fn append_ghosts(&mut self, originals: impl Iterator<Item = u32>) {
+        debug_assert!(self.originals.is_empty());
+        self.originals.extend(originals);
+        debug_assert!(self.originals.is_sorted());
+        for k in 0..self.originals.len() {
+            let a = self.originals[k] as usize;
+            self.position.push(self.position[a]);
+            self.velocity.push(self.velocity[a]);
+            self.pressure.push(self.pressure[a]);
+            self.id.push(self.id[a]);
+        }
+    }
+
+    /// Number of particles that are no ghosts; also the index of the first ghost.
+    pub fn owned(&self) -> usize {
+        self.position.len() - self.originals.len()
+    }
+
+    /// For each ghost: the particle of which it is a copy.
+    pub fn originals(&self) -> &[u32] {
+        &self.originals
+    }
+
+    /// Particle `a` itself, or the one of which it is a ghost.
+    #[inline]
+    pub fn original(&self, a: usize) -> usize {
+        match a.checked_sub(self.owned()) {
+            None => a,
+            Some(ghost) => self.originals[ghost] as usize,
+        }
+    }
+
+    /// Index range of the ghosts of solids.
+    pub fn solid_ghosts(&self) -> Range<usize> {
+        let solids = self.solids() as u32;
+        self.owned()..self.owned() + self.originals.partition_point(|&a| a < solids)
+    }
+
+    /// Number of particles of all kinds, ghosts included.
     pub fn len(&self) -> usize {
         self.position.len()
     }
@@ -98,12 +152,12 @@ impl<const D: usize> Particles<D> {
 
     /// Index range of fluid particles.
     pub fn fluid(&self) -> Range<usize> {
-        self.solids()..self.len()
+        self.solids()..self.owned()
     }
 
     /// Kind of particle `a`.
     pub fn kind(&self, a: usize) -> Kind {
-        match a {
+        match self.original(a) {
             a if a < self.walls => Kind::Wall,
             a if a < self.solids() => Kind::Dummy,
             _ => Kind::Fluid,
@@ -111,8 +165,9 @@ impl<const D: usize> Particles<D> {
     }
 
     /// Puts the fluid into the order `order[new] = old` (indices within the fluid range).
-    /// `scratch` is reused between calls.
+    /// `scratch` is reused between calls. Ghosts are dropped.
     pub fn reorder_fluid(&mut self, order: &[u32], scratch: &mut ReorderScratch<D>) {
+        self.drop_ghosts();
         let first = self.solids();
         permute(&mut self.position[first..], order, &mut scratch.vectors);
         permute(&mut self.velocity[first..], order, &mut scratch.vectors);
@@ -121,7 +176,9 @@ impl<const D: usize> Particles<D> {
     }
 
     /// Keeps only the fluid particles for which `keep(index)` holds, in their order; returns how many left.
+    /// Ghosts are dropped.
     pub fn retain_fluid(&mut self, keep: impl Fn(usize) -> bool) -> usize {
+        self.drop_ghosts();
         let mut kept = self.solids();
         for a in self.fluid() {
             if keep(a) {

@@ -33,7 +33,7 @@ use serde_json::{Value, json};
 use crate::Result;
 use crate::case::{CaseFile, FluidBlock, build};
 use crate::geometry::Aabb;
-use crate::neighbors::Neighbors;
+use crate::neighbors::{Layout, Neighbors};
 use crate::operators::{Moments, Surroundings};
 use crate::output::{Cell, RunFolder, Table, write_atomic};
 use crate::particles::Vector;
@@ -313,7 +313,8 @@ impl<const D: usize> Patch<D> {
 
 fn search<const D: usize>(params: &Params<D>, position: &[Vector<D>]) -> Neighbors<D> {
     let mut found = Neighbors::default();
-    found.search(params.kernel, params.smoothing_length(), position, 0, |_| f64::NEG_INFINITY);
+    let layout = Layout::without_ghosts(0, position.len());
+    found.search(params.kernel, params.smoothing_length(), position, &layout, |_| f64::NEG_INFINITY);
     found
 }
 

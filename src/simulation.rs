@@ -152,6 +152,7 @@ impl<const D: usize> Simulation<D> {
     }
 
     fn remember(&mut self) {
+        self.particles.drop_ghosts();
         let (position, velocity, pressure) = &mut self.before;
         position.clone_from(&self.particles.position);
         velocity.clone_from(&self.particles.velocity);
@@ -160,6 +161,7 @@ impl<const D: usize> Simulation<D> {
 
     /// Exchanges the present state with the one before the last step.
     pub fn swap_states(&mut self) {
+        self.particles.drop_ghosts();
         let (position, velocity, pressure) = &mut self.before;
         std::mem::swap(position, &mut self.particles.position);
         std::mem::swap(velocity, &mut self.particles.velocity);
@@ -249,7 +251,7 @@ impl Fate {
     fn of<const D: usize>(r: &Vector<D>, tank: &TankShape<D>, gravity: &Vector<D>, margin: f64) -> Self {
         let mut behind = None;
         let mut beyond_open = false;
-        for d in 0..D {
+        for d in (0..D).filter(|&d| !tank.periodic[d]) {
             let overshoot = [tank.inner.min[d] - r[d], r[d] - tank.inner.max[d]];
             for (end, overshoot) in overshoot.into_iter().enumerate() {
                 if overshoot <= 0.0 {
@@ -290,7 +292,7 @@ mod tests {
     #[test]
     fn leavers_are_told_from_leaks() {
         let inner = Aabb { min: Vector::<2>::zeros(), max: Vector::<2>::new(1.0, 1.0) };
-        let tank = TankShape { inner, open: [[false, true], [false, true]] };
+        let tank = TankShape { inner, open: [[false, true], [false, true]], periodic: [false; 2] };
         let gravity = Vector::<2>::new(0.0, -9.81);
         let fate = |x: f64, y: f64| Fate::of(&Vector::<2>::new(x, y), &tank, &gravity, 0.1);
         assert_eq!(fate(0.5, 0.5), Fate::Stays);

@@ -3,7 +3,7 @@
 use sphpetsc::boundary::DummyWalls;
 use sphpetsc::case::{KernelKind, LaplacianKind, build, read};
 use sphpetsc::kernel::{LatticeSums, Smoothing, WendlandC2};
-use sphpetsc::neighbors::Neighbors;
+use sphpetsc::neighbors::{Layout, Neighbors};
 use sphpetsc::operators::{Moments, Surroundings};
 use sphpetsc::parallel::Ranks;
 use sphpetsc::particles::{Matrix, Particles, Vector};
@@ -60,11 +60,17 @@ impl<const D: usize> Water<D> {
         let mut neighbors = Neighbors::default();
         let first_layer = |a| if particles.walls().contains(&a) { f64::NEG_INFINITY } else { f64::INFINITY };
         let support = params.support();
-        neighbors.update(&particles.position[..solids], solids, &smoothing, support, first_layer);
+        neighbors.update(
+            &particles.position[..solids],
+            &Layout::without_ghosts(solids, solids),
+            &smoothing,
+            support,
+            first_layer,
+        );
         let walls =
             DummyWalls::new(&particles, &neighbors, &lattice, volume, params.density * params.gravity);
         let wet = |a| walls.threshold(&particles, a);
-        neighbors.update(&particles.position, solids, &smoothing, support, wet);
+        neighbors.update(&particles.position, &Layout::of(&particles), &smoothing, support, wet);
         let mut active = vec![];
         walls.mark_active(&particles, &neighbors, &mut active);
         let mut water =

@@ -2,6 +2,7 @@
 
 use super::{CaseFile, SchemeParams, Side};
 use crate::geometry::{Aabb, BlockShape, Lattice, Shapes, TankShape};
+use crate::halo::PeriodicBox;
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Params, isph};
 use crate::terms::collision::Collisions;
@@ -26,15 +27,17 @@ fn layers(dimension: usize, support_in_spacings: f64) -> usize {
 
 /// Builds the scene of a case whose dimension is `D`.
 pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
-    let params = params(case);
-    let shapes = shapes(case);
-    let lattice = Lattice::new(&shapes, case.spacing);
+    let lattice = Lattice::new(&shapes(case), case.spacing);
+    let tank = lattice.snapped_tank();
+    let params = params(case, tank.as_ref());
     let mut particles = lattice.particles(layers(D, params.support() / case.spacing));
     jitter(&mut particles, case.scheme.jitter * case.spacing, case.seed);
-    Scene { particles, params, tank: shapes.tank, snapped: lattice.snapped }
+    Scene { particles, params, tank, snapped: lattice.snapped }
 }
 
-fn params<const D: usize>(case: &CaseFile) -> Params<D> {
+fn params<const D: usize>(case: &CaseFile, tank: Option<&TankShape<D>>) -> Params<D> {
+    let period =
+        |tank: &TankShape<D>, d: usize| tank.periodic[d].then(|| tank.inner.max[d] - tank.inner.min[d]);
     Params {
         spacing: case.spacing,
         gravity: vector(&case.gravity),
@@ -43,6 +46,10 @@ fn params<const D: usize>(case: &CaseFile) -> Params<D> {
         slip: case.tank.as_ref().map(|tank| tank.slip).unwrap_or_default(),
         kernel: case.scheme.kernel,
         smoothing_ratio: case.scheme.smoothing_ratio,
+        periodic: tank.filter(|tank| tank.periodic.contains(&true)).map(|tank| PeriodicBox {
+            min: tank.inner.min,
+            period: std::array::from_fn(|d| period(tank, d)),
+        }),
     }
 }
 
@@ -71,7 +78,11 @@ fn shapes<const D: usize>(case: &CaseFile) -> Shapes<D> {
                 let (axis, end) = side_of::<D>(*side);
                 open[axis][end] = true;
             }
-            TankShape { inner: extent(&tank.min, &tank.max), open }
+            let mut periodic = [false; D];
+            for axis in &tank.periodic {
+                periodic[*axis as usize] = true;
+            }
+            TankShape { inner: extent(&tank.min, &tank.max), open, periodic }
         }),
         boxes: case.boxes.iter().map(|b| extent(&b.min, &b.max)).collect(),
         blocks: case

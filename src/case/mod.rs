@@ -101,6 +101,9 @@ pub struct Tank {
     pub max: Vec<f64>,
     /// Sides without a wall.
     pub open: Vec<Side>,
+    /// Axes along which the scene repeats itself with the tank's length: those sides have no walls.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub periodic: Vec<Axis>,
     /// How liquid moves along the walls.
     pub slip: Slip,
 }
@@ -131,6 +134,19 @@ pub enum Side {
     Bottom,
     /// Highest last coordinate.
     Top,
+}
+
+/// A coordinate axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
+pub enum Axis {
+    /// From left to right.
+    X,
+    /// Up in 2D, from front to back in 3D.
+    Y,
+    /// Up, 3D only.
+    Z,
 }
 
 /// Tangential condition at walls.

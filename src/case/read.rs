@@ -490,6 +490,7 @@ fn read_tank(r: &Reader) -> Tank {
         min: r.vector("min", "m").required(),
         max: r.vector("max", "m").required(),
         open: r.variant_list("open").or(Vec::new()),
+        periodic: r.variant_list("periodic").or(Vec::new()),
         slip: r.variant("slip").or(Slip::default()),
     }
 }
@@ -614,6 +615,7 @@ fn prove(case: &CaseFile, problems: &mut Vec<Problem>) {
     proof.overlaps(problems);
     proof.particles(problems);
     proof.open_sides(problems);
+    proof.periodic_axes(problems);
     proof.probes(problems);
     proof.names(problems);
     proof.times(problems);
@@ -703,6 +705,25 @@ impl Proof<'_> {
             let name = name.as_ref().map_or("a side", |value| value.get_name());
             let complaint = format!("names {name}, which only 3D has: use left, right, bottom or top");
             problems.push(Problem::new("tank.open", &complaint));
+        }
+    }
+
+    fn periodic_axes(&self, problems: &mut Vec<Problem>) {
+        let (Some(tank), Some(cuboid)) = (&self.case.tank, &self.tank) else { return };
+        let scheme = &self.case.scheme;
+        // Nearer than this a particle would meet its own image, or another particle twice.
+        let shortest = 2.0 * scheme.kernel.support() * scheme.smoothing_ratio * self.case.spacing;
+        for axis in &tank.periodic {
+            let complaint = match cuboid.sides().nth(*axis as usize) {
+                None => "names z, which only 3D has: use x or y".to_owned(),
+                Some((min, max)) if max - min < shortest => format!(
+                    "repeats the scene every {:?} m, less than two kernel supports ({shortest:.6} m): enlarge the \
+                     tank or reduce spacing",
+                    max - min
+                ),
+                Some(_) => continue,
+            };
+            problems.push(Problem::new("tank.periodic", &complaint));
         }
     }
 

@@ -51,10 +51,11 @@ pub fn front<const D: usize>(scene: &Scene<D>) -> f64 {
     let Scene { particles, fields, .. } = scene;
     let near = (1.5 * scene.spacing).powi(2);
     let solids = particles.solids();
+    let is_fluid = |b: usize| particles.original(b) >= solids;
     let in_company = |a: usize| {
         let r_a = particles.position[a];
         let row = fields.neighbors.row(a).index.iter().map(|&b| b as usize);
-        row.filter(|&b| b >= solids && (particles.position[b] - r_a).norm_squared() < near).count() >= 3
+        row.filter(|&b| is_fluid(b) && (particles.position[b] - r_a).norm_squared() < near).count() >= 3
     };
     let mut front = f64::NEG_INFINITY;
     for a in particles.fluid() {

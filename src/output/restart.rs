@@ -9,6 +9,7 @@ use crate::{Error, Result};
 pub fn save<const D: usize>(simulation: &Simulation<D>, writer: &mut Writer) {
     let flat =
         |vectors: &[Vector<D>]| -> Vec<f64> { vectors.iter().flat_map(|v| v.iter().copied()).collect() };
+    let (particles, owned) = (&simulation.particles, simulation.particles.owned());
     let t = &simulation.totals;
     let counts =
         [t.clipped, t.collisions, t.left, t.through_walls, t.iterations, t.most_iterations, t.fallbacks];
@@ -17,10 +18,10 @@ pub fn save<const D: usize>(simulation: &Simulation<D>, writer: &mut Writer) {
         .u64("step", &[simulation.step])
         .u64("totals", &counts)
         .f64("scheme", &simulation.scheme.state())
-        .u64("id", &simulation.particles.id)
-        .f64("position", &flat(&simulation.particles.position))
-        .f64("velocity", &flat(&simulation.particles.velocity))
-        .f64("pressure", &simulation.particles.pressure);
+        .u64("id", &particles.id[..owned])
+        .f64("position", &flat(&particles.position[..owned]))
+        .f64("velocity", &flat(&particles.velocity[..owned]))
+        .f64("pressure", &particles.pressure[..owned]);
 }
 
 /// Goes on from a saved state of the same case.

@@ -219,6 +219,7 @@ impl Block {
                 Some(c) => plain - vf * r_ab.dot(c),
                 None => plain,
             };
+            let b = particles.original(b);
             let behind = b >= walls_end && b < particles.solids();
             let target = if behind { particles.tie[b - walls_end] as usize } else { b };
             if behind {

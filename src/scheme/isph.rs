@@ -17,8 +17,9 @@
 use super::{Fields, Params, Scheme, Stages, StepReport};
 use crate::boundary::DummyWalls;
 use crate::case::LaplacianKind;
+use crate::halo::Halo;
 use crate::kernel::LatticeSums;
-use crate::neighbors::Neighbors;
+use crate::neighbors::{Layout, Neighbors};
 use crate::operators::{Moments, Surroundings};
 use crate::parallel::Ranks;
 use crate::particles::{Particles, ReorderScratch, Vector};
@@ -82,6 +83,7 @@ pub struct Isph<const D: usize> {
     params: Params<D>,
     method: Method,
     ranks: Ranks,
+    halo: Halo<D>,
     walls: DummyWalls<D>,
     lattice: LatticeSums,
     solver: Box<dyn PressureSolve>,
@@ -125,19 +127,24 @@ impl<const D: usize> Isph<D> {
         let lattice = params.lattice_sums();
         let volume = params.volume();
         let mut support = Support { neighbors: Neighbors::default(), active: vec![], volume };
-        let (solids, walls) = (particles.solids(), particles.walls());
+        let mut halo = Halo::new(params.periodic, params.support());
+        let mut solids = particles.clone();
+        solids.retain_fluid(|_| false);
+        halo.renew(&mut solids);
+        let walls = particles.walls();
         let all_walls = |a| if walls.contains(&a) { f64::NEG_INFINITY } else { f64::INFINITY };
         support.neighbors.search(
             params.kernel,
             params.smoothing_length(),
-            &particles.position[..solids],
-            solids,
+            &solids.position,
+            &Layout::of(&solids),
             all_walls,
         );
         let weight = params.density * params.gravity;
         Self {
             walls: DummyWalls::new(particles, &support.neighbors, &lattice, volume, weight),
             ranks: Ranks,
+            halo,
             lattice,
             solver,
             support,
@@ -170,18 +177,20 @@ impl<const D: usize> Isph<D> {
 
     /// Neighbours, wet walls, and the moments of every support.
     fn survey(&mut self, particles: &mut Particles<D>) {
+        self.halo.renew(particles);
         let (walls, support) = (&self.walls, &mut self.support);
         let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
         let threshold = |a| walls.threshold(particles, a);
-        support.neighbors.search(kernel, h, &particles.position, particles.solids(), threshold);
+        support.neighbors.search(kernel, h, &particles.position, &Layout::of(particles), threshold);
         walls.mark_active(particles, &support.neighbors, &mut support.active);
+        self.halo.refresh(particles.originals(), &mut support.active);
         let surroundings = self.support.around(particles);
-        let count = particles.len();
+        let (count, owned) = (particles.len(), particles.owned());
         self.moments.resize(count, Moments::default());
         self.surface.resize(count, 0.0);
         self.crowding.resize(count, 0.0);
         let (lattice, first_fluid, dummies) = (&self.lattice, particles.solids(), particles.dummies());
-        (&mut self.moments, &mut self.surface, &mut self.crowding)
+        (&mut self.moments[..owned], &mut self.surface[..owned], &mut self.crowding[..owned])
             .into_par_iter()
             .enumerate()
             .with_min_len(256)
@@ -194,6 +203,9 @@ impl<const D: usize> Isph<D> {
                 *weight = surface::weight(moments);
                 *crowding = (moments.kernel_sum + lattice.own_share) / lattice.kernel_sum;
             });
+        self.halo.refresh(particles.originals(), &mut self.moments);
+        self.halo.refresh(particles.originals(), &mut self.surface);
+        self.halo.refresh(particles.originals(), &mut self.crowding);
     }
 
     /// v* of liquid and walls, and the source of every pressure row.
@@ -201,17 +213,18 @@ impl<const D: usize> Isph<D> {
         let Params { gravity, kinematic_viscosity: nu, slip, .. } = self.params;
         let density_relaxation = self.method.density_relaxation;
         let surroundings = self.support.around(particles);
-        let solids = particles.solids();
+        let (solids, owned) = (particles.solids(), particles.owned());
         self.predicted.resize(particles.len(), Vector::zeros());
-        self.predicted.par_iter_mut().enumerate().with_min_len(512).for_each(|(a, v)| {
+        self.predicted[..owned].par_iter_mut().enumerate().with_min_len(512).for_each(|(a, v)| {
             *v = particles.velocity[a] + dt * gravity;
             if nu > 0.0 && a >= solids {
                 *v += dt * nu * viscosity::laplacian(&surroundings, particles, a, slip);
             }
         });
+        self.halo.refresh(particles.originals(), &mut self.predicted);
         let (predicted, moments) = (&self.predicted, &self.moments);
         let (surface, crowding) = (&self.surface, &self.crowding);
-        self.source.resize(particles.len(), 0.0);
+        self.source.resize(owned, 0.0);
         self.source.par_iter_mut().enumerate().with_min_len(256).for_each(|(a, source)| {
             let across = surface::normal(&moments[a]) * surface[a].sqrt();
             let divergence = surroundings.divergence(a, predicted, &across);
@@ -254,6 +267,9 @@ impl<const D: usize> Isph<D> {
         }
         self.assembler.scatter(particles);
         self.walls.extend_pressure(particles, &self.support.active);
+        let mut pressure = std::mem::take(&mut particles.pressure);
+        self.halo.refresh(particles.originals(), &mut pressure);
+        particles.pressure = pressure;
         clipped
     }
 
@@ -263,7 +279,7 @@ impl<const D: usize> Isph<D> {
         let factor = dt / self.params.density;
         let surroundings = self.support.around(particles);
         let (moments, predicted, pressure) = (&self.moments, &self.predicted, &particles.pressure);
-        self.change.resize(particles.len() - first, (Vector::zeros(), Vector::zeros()));
+        self.change.resize(particles.owned() - first, (Vector::zeros(), Vector::zeros()));
         self.change.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, (change, new))| {
             let a = first + k;
             let gradient = match moments[a].correction() {
@@ -296,6 +312,10 @@ impl<const D: usize> Isph<D> {
             // v^n = new - change; collisions may have moved v away from new.
             *r += 0.5 * dt * (v - new + change);
         }
+        self.halo.place(particles);
+        let mut velocity = std::mem::take(&mut particles.velocity);
+        self.halo.refresh(particles.originals(), &mut velocity);
+        particles.velocity = velocity;
     }
 
     fn shift(&mut self, particles: &mut Particles<D>, dt: f64) {
@@ -316,6 +336,7 @@ impl<const D: usize> Isph<D> {
 
     /// Keeps neighbours close in memory: puts the fluid into cell order now and then.
     fn sort(&mut self, particles: &mut Particles<D>) {
+        particles.drop_ghosts();
         if self.steps.is_multiple_of(SORT_EVERY) {
             let first = particles.solids();
             let support = self.params.support();

@@ -4,6 +4,7 @@ pub mod isph;
 
 use crate::Result;
 use crate::case::Slip;
+use crate::halo::PeriodicBox;
 use crate::kernel::{CubicSpline, KernelKind, LatticeSums, Quintic, Smoothing, WendlandC2};
 use crate::particles::{Particles, Vector};
 use crate::ppe::SolveRecord;
@@ -28,6 +29,8 @@ pub struct Params<const D: usize> {
     pub kernel: KernelKind,
     /// h / dx.
     pub smoothing_ratio: f64,
+    /// Periodic sides, if any.
+    pub periodic: Option<PeriodicBox<D>>,
 }
 
 impl<const D: usize> Params<D> {

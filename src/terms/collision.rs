@@ -29,11 +29,11 @@ impl Collisions {
     ) -> usize {
         let (fluid, solids) = (particles.fluid(), particles.solids());
         let square = self.distance * self.distance;
-        let position = &particles.position;
+        let (then, position) = (&*particles, &particles.position);
         let close = |a: usize| {
             let r_a = position[a];
             let row = neighbors.row(a).index.iter().copied();
-            row.filter(move |&b| (b as usize) < a)
+            row.filter(move |&b| then.original(b as usize) < a)
                 .filter(move |&b| (r_a - position[b as usize]).norm_squared() < square)
                 .map(move |b| (a as u32, b))
         };
@@ -45,6 +45,7 @@ impl Collisions {
             let Some(normal) = (particles.position[a] - particles.position[b]).try_normalize(0.0) else {
                 continue;
             };
+            let b = particles.original(b);
             let approach = (particles.velocity[a] - particles.velocity[b]).dot(&normal);
             if approach < 0.0 {
                 collided += 1;

@@ -28,6 +28,7 @@ pub fn laplacian<const D: usize>(
     let mut sum = Vector::zeros();
     for (b, r_ab, vf) in surroundings.active(a) {
         let v_ab = v_a - particles.velocity[b];
+        let b = particles.original(b);
         let difference = match (b < solids, slip) {
             (false, _) => v_ab,
             (true, Slip::Free) => continue,

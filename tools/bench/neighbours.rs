@@ -5,15 +5,16 @@ mod scenes;
 use criterion::{Criterion, criterion_group, criterion_main};
 use sphpetsc::case::build::Scene;
 use sphpetsc::kernel::{Smoothing, WendlandC2};
-use sphpetsc::neighbors::Neighbors;
+use sphpetsc::neighbors::{Layout, Neighbors};
 
 fn search<const D: usize>(criterion: &mut Criterion, name: &str) {
     let (Scene { particles, params, .. }, _) = scenes::scene::<D>(name);
+    let layout = Layout::of(&particles);
     let smoothing = Smoothing::<D, WendlandC2>::new(params.smoothing_length());
     let mut neighbors = Neighbors::default();
     criterion.bench_function(name, |bencher| {
         bencher.iter(|| {
-            neighbors.update(&particles.position, particles.solids(), &smoothing, params.support(), |_| 0.0);
+            neighbors.update(&particles.position, &layout, &smoothing, params.support(), |_| 0.0);
         });
     });
 }
