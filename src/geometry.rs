@@ -21,6 +21,18 @@ pub struct Aabb<const D: usize> {
     pub max: Vector<D>,
 }
 
+impl<const D: usize> Aabb<D> {
+    /// Its middle.
+    pub fn centre(&self) -> Vector<D> {
+        0.5 * (self.min + self.max)
+    }
+
+    /// Is `r` in the ellipsoid that touches all sides?
+    fn ellipsoid_contains(&self, r: &Vector<D>) -> bool {
+        (r - self.centre()).component_div(&(0.5 * (self.max - self.min))).norm_squared() < 1.0
+    }
+}
+
 /// A box-shaped tank: inner wall planes, and which of its sides have no wall.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TankShape<const D: usize> {
@@ -37,8 +49,8 @@ pub struct TankShape<const D: usize> {
 pub struct BlockShape<const D: usize> {
     /// Extent.
     pub extent: Aabb<D>,
-    /// Velocity in m/s.
-    pub velocity: Vector<D>,
+    /// Whether only the ellipsoid that touches all sides is filled.
+    pub ellipsoid: bool,
 }
 
 /// Everything that geometry needs to know of a scene.
@@ -87,7 +99,7 @@ pub struct Lattice<const D: usize> {
     origin: Vector<D>,
     tank: Option<(CellBox<D>, TankShape<D>)>,
     boxes: Vec<CellBox<D>>,
-    blocks: Vec<(CellBox<D>, Vector<D>)>,
+    blocks: Vec<(CellBox<D>, BlockShape<D>)>,
     /// One sentence for each length that had to be snapped.
     pub snapped: Vec<String>,
 }
@@ -104,8 +116,7 @@ impl<const D: usize> Lattice<D> {
             Self { spacing, origin, tank: None, boxes: vec![], blocks: vec![], snapped: vec![] };
         lattice.tank = shapes.tank.map(|t| (lattice.snap("tank", &t.inner), t));
         lattice.boxes = shapes.boxes.iter().map(|b| lattice.snap("box", b)).collect();
-        lattice.blocks =
-            shapes.blocks.iter().map(|b| (lattice.snap("fluid block", &b.extent), b.velocity)).collect();
+        lattice.blocks = shapes.blocks.iter().map(|b| (lattice.snap("fluid block", &b.extent), *b)).collect();
         lattice
     }
 
@@ -175,12 +186,20 @@ impl<const D: usize> Lattice<D> {
         outside
     }
 
-    /// Solid and fluid particles; `layers` counts the wall layer and the dummies behind it.
-    pub fn particles(&self, layers: usize) -> Particles<D> {
+    /// Solid and fluid particles, at rest; `layers` counts the wall layer and the dummies behind it. `velocity` in m/s is
+    /// that of the liquid of a block (by number) at a place.
+    pub fn particles(
+        &self,
+        layers: usize,
+        velocity: impl Fn(usize, &Vector<D>) -> Vector<D>,
+    ) -> Particles<D> {
         let mut particles = self.solid_particles(layers as i64);
-        for (block, velocity) in &self.blocks {
-            for cell in block.cells().filter(|cell| self.is_open(cell)) {
-                particles.push_fluid(self.centre(&cell), *velocity);
+        for (k, (cells, shape)) in self.blocks.iter().enumerate() {
+            for cell in cells.cells().filter(|cell| self.is_open(cell)) {
+                let r = self.centre(&cell);
+                if !shape.ellipsoid || shape.extent.ellipsoid_contains(&r) {
+                    particles.push_fluid(r, velocity(k, &r));
+                }
             }
         }
         particles
@@ -273,7 +292,7 @@ mod tests {
             boxes: vec![],
             blocks: vec![BlockShape {
                 extent: Aabb { min: Vector::zeros(), max: Vector::<2>::new(0.2, 0.4) },
-                velocity: Vector::zeros(),
+                ellipsoid: false,
             }],
         }
     }
@@ -281,7 +300,7 @@ mod tests {
     #[test]
     fn the_paper_s_dam_break_has_its_particle_counts() {
         let lattice = Lattice::new(&tank2(true), 0.005);
-        let particles = lattice.particles(3);
+        let particles = lattice.particles(3, |_, _| Vector::zeros());
         assert!(lattice.snapped.is_empty());
         assert_eq!(particles.fluid().len(), 40 * 80);
         assert_eq!(particles.walls().len(), 160 * 3 + 2);
@@ -292,7 +311,7 @@ mod tests {
 
     #[test]
     fn normals_are_straight_at_flat_walls_and_diagonal_in_corners() {
-        let particles = Lattice::new(&tank2(true), 0.1).particles(3);
+        let particles = Lattice::new(&tank2(true), 0.1).particles(3, |_, _| Vector::zeros());
         for a in particles.walls() {
             let r = particles.position[a];
             let expected = match (r.x < 0.0, r.x > 0.8, r.y < 0.0) {
@@ -308,7 +327,7 @@ mod tests {
 
     #[test]
     fn dummies_are_tied_along_the_normal() {
-        let particles = Lattice::new(&tank2(false), 0.1).particles(3);
+        let particles = Lattice::new(&tank2(false), 0.1).particles(3, |_, _| Vector::zeros());
         for a in particles.dummies() {
             assert_eq!(particles.kind(a), Kind::Dummy);
             let wall = particles.tie[a - particles.walls().len()] as usize;
@@ -334,7 +353,7 @@ mod tests {
             boxes: vec![Aabb { min: Vector::<3>::new(1.0, 0.3, 0.0), max: Vector::<3>::new(1.4, 0.7, 0.4) }],
             blocks: vec![],
         };
-        let particles = Lattice::new(&shapes, 0.1).particles(4);
+        let particles = Lattice::new(&shapes, 0.1).particles(4, |_, _| Vector::zeros());
         let in_box =
             |r: &Vector<3>| r.x > 1.0 && r.x < 1.4 && r.y > 0.3 && r.y < 0.7 && r.z > 0.0 && r.z < 0.4;
         let solid: Vec<_> = (0..particles.len()).filter(|&a| in_box(&particles.position[a])).collect();

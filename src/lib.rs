@@ -38,6 +38,7 @@
 //! - [`ppe`]: the pressure equation: matrix, source, solution
 //! - [`scheme`]: one time step; [`simulation`]: the time loop
 //! - [`output`]: particle files, tables, gauges, checkpoints; [`report`]: the end of a run
+//! - [`exact`]: flows with a known solution
 //! - [`case`]: case files; [`patch_test`]: the operators on known fields
 //! - [`run`], [`cli`]: a run from the command line to its folder
 
@@ -47,6 +48,7 @@ pub mod boundary;
 pub mod case;
 pub mod cli;
 pub mod error;
+pub mod exact;
 pub mod geometry;
 pub mod halo;
 pub mod kernel;

@@ -31,7 +31,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use crate::Result;
-use crate::case::{CaseFile, FluidBlock, build};
+use crate::case::{BlockForm, CaseFile, FluidBlock, build};
 use crate::geometry::Aabb;
 use crate::neighbors::{Layout, Neighbors};
 use crate::operators::{Moments, Surroundings};
@@ -206,9 +206,11 @@ impl<const D: usize> Patch<D> {
         case.fluid.blocks.truncate(1);
         if case.fluid.blocks.is_empty() {
             case.fluid.blocks.push(FluidBlock {
+                shape: BlockForm::Box,
                 min: vec![0.0; D],
                 max: vec![1.0; D],
                 velocity: vec![0.0; D],
+                rotation: 0.0,
             });
         }
         let at = |jitter: f64| {

@@ -6,6 +6,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::case::{Arrival, CaseFile};
+use crate::exact::ErrorMeasure;
 use crate::output::comparison::Comparison;
 use crate::output::observers::Energy;
 use crate::particles::Particles;
@@ -30,6 +31,8 @@ pub struct Report<'a, const D: usize> {
     pub energy: Energy,
     /// Errors against references.
     pub comparison: Comparison,
+    /// Errors against the exact solution.
+    pub errors: Vec<ErrorMeasure>,
     /// The pressure solver in force.
     pub solver: &'a str,
     /// Wall-clock time of the time loop in s.
@@ -84,6 +87,7 @@ impl<const D: usize> Report<'_, D> {
             },
             "clipped_pressures": t.clipped,
             "collisions": t.collisions,
+            "errors": self.errors,
             "references": series.collect::<Vec<_>>(),
             "arrivals": arrivals.collect::<Vec<_>>(),
         })
@@ -147,6 +151,12 @@ impl<const D: usize> fmt::Display for Report<'_, D> {
         line("stages, s", stages.collect::<Vec<_>>().join(", "))?;
         if let Some(memory) = peak_memory_mb() {
             line("memory", format!("{memory:.0} MB at most"))?;
+        }
+        for e in &self.errors {
+            line(
+                "error",
+                format!("{}: rms {:.3} %, largest {:.3} % of {}", e.name, 100.0 * e.rms, 100.0 * e.max, e.of),
+            )?;
         }
         for s in &self.comparison.series {
             if s.count == 0 {

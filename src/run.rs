@@ -8,7 +8,9 @@ use std::time::Instant;
 use crate::case::build::{self, Scene};
 use crate::case::{CaseFile, SchemeKind, read};
 use crate::cli::{self, RunArgs};
+use crate::exact;
 use crate::output::comparison::References;
+use crate::output::exact_log::ExactLog;
 use crate::output::observers::{History, Snapshots, SolverLog};
 use crate::output::{Progress, RunFolder, Status, write_atomic};
 use crate::output::{checkpoint, restart};
@@ -66,6 +68,7 @@ struct Run<'a, const D: usize> {
     folder: RunFolder,
     simulation: Simulation<D>,
     history: History<D>,
+    exact: Option<ExactLog<D>>,
     solver_log: SolverLog,
     snapshots: Snapshots<D>,
     progress: Progress,
@@ -116,8 +119,12 @@ impl<'a, const D: usize> Run<'a, D> {
         if let Some(state) = &saved {
             history.restore(state)?;
         }
+        let exact = exact::of_case(case, &params)
+            .map(|exact| ExactLog::new(&folder, exact, &params, case.output.samples, since))
+            .transpose()?;
         let mut run = Self {
             history,
+            exact,
             solver_log: SolverLog::new(&folder, &args.save_systems, since)?,
             snapshots: Snapshots::new(&folder, case, since)?,
             progress: Progress::new(case.time.until, args.quiet),
@@ -138,6 +145,9 @@ impl<'a, const D: usize> Run<'a, D> {
         let _ = ctrlc::set_handler(move || stop.store(true, Ordering::Relaxed));
         if since.is_none() {
             run.history.start(&run.simulation)?;
+            if let Some(exact) = &mut run.exact {
+                exact.sample(&run.simulation)?;
+            }
             run.snapshots.write(&run.simulation)?;
         }
         Ok(run)
@@ -167,6 +177,7 @@ impl<'a, const D: usize> Run<'a, D> {
             totals: self.simulation.totals,
             energy: self.history.energy(),
             comparison,
+            errors: self.exact.as_mut().map_or(Ok(vec![]), ExactLog::errors)?,
             solver: &self.solver,
             wall_s: self.began.elapsed().as_secs_f64(),
             folder: self.folder.path(),
@@ -182,6 +193,9 @@ impl<'a, const D: usize> Run<'a, D> {
         while self.simulation.time < self.case.time.until {
             let report = self.simulation.advance().inspect_err(|_| self.keep_failed_system())?;
             self.history.observe(&self.simulation, &report)?;
+            if let Some(exact) = &mut self.exact {
+                exact.observe(&self.simulation, &report)?;
+            }
             self.solver_log.observe(&self.simulation, &report)?;
             self.snapshots.observe(&self.simulation, &report)?;
             let simulation = &self.simulation;
@@ -211,6 +225,7 @@ impl<'a, const D: usize> Run<'a, D> {
     fn save(&mut self) -> Result<()> {
         self.history.flush()?;
         self.solver_log.flush()?;
+        self.exact.as_mut().map_or(Ok(()), ExactLog::flush)?;
         let mut writer = checkpoint::Writer::new();
         restart::save(&self.simulation, &mut writer);
         self.history.save(&mut writer);

@@ -1,6 +1,7 @@
 //! From a proven case file to particles and scheme parameters of one dimension.
 
-use super::{CaseFile, SchemeParams, Side};
+use super::{BlockForm, CaseFile, FluidBlock, SchemeParams, Side};
+use crate::exact;
 use crate::geometry::{Aabb, BlockShape, Lattice, Shapes, TankShape};
 use crate::halo::PeriodicBox;
 use crate::particles::{Particles, Vector};
@@ -30,7 +31,12 @@ pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
     let lattice = Lattice::new(&shapes(case), case.spacing);
     let tank = lattice.snapped_tank();
     let params = params(case, tank.as_ref());
-    let mut particles = lattice.particles(layers(D, params.support() / case.spacing));
+    let exact = exact::of_case(case, &params);
+    let velocity = |block: usize, r: &Vector<D>| match &exact {
+        Some(exact) => exact.initial_velocity(r),
+        None => block_velocity(&case.fluid.blocks[block], r),
+    };
+    let mut particles = lattice.particles(layers(D, params.support() / case.spacing), velocity);
     jitter(&mut particles, case.scheme.jitter * case.spacing, case.seed);
     Scene { particles, params, tank, snapped: lattice.snapped }
 }
@@ -89,7 +95,10 @@ fn shapes<const D: usize>(case: &CaseFile) -> Shapes<D> {
             .fluid
             .blocks
             .iter()
-            .map(|b| BlockShape { extent: extent(&b.min, &b.max), velocity: vector(&b.velocity) })
+            .map(|b| BlockShape {
+                extent: extent(&b.min, &b.max),
+                ellipsoid: b.shape == BlockForm::Ellipsoid,
+            })
             .collect(),
     }
 }
@@ -104,6 +113,15 @@ fn side_of<const D: usize>(side: Side) -> (usize, usize) {
         Side::Bottom => (D - 1, 0),
         Side::Top => (D - 1, 1),
     }
+}
+
+/// Translation and rotation of a block's liquid at `r`.
+fn block_velocity<const D: usize>(block: &FluidBlock, r: &Vector<D>) -> Vector<D> {
+    let arm = r - 0.5 * (vector::<D>(&block.min) + vector(&block.max));
+    let mut v: Vector<D> = vector(&block.velocity);
+    v[0] -= block.rotation * arm[1];
+    v[1] += block.rotation * arm[0];
+    v
 }
 
 /// First `D` components of a proven list.

@@ -7,8 +7,17 @@ macro_rules! cases {
 }
 
 /// Names and TOML texts, in the order in which they are listed.
-const CASES: [(&str, &str); 5] =
-    cases!["dam_break_2d", "dam_break_3d_fixed", "still_water_2d", "still_water_3d", "patch_test"];
+const CASES: [(&str, &str); 9] = cases![
+    "dam_break_2d",
+    "dam_break_3d_fixed",
+    "still_water_2d",
+    "still_water_3d",
+    "taylor_green",
+    "stretching_drop",
+    "rotating_square",
+    "standing_wave",
+    "patch_test",
+];
 
 /// The case that runs when none is named.
 pub const DEFAULT: &str = CASES[0].0;

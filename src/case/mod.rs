@@ -34,6 +34,9 @@ pub struct CaseFile {
     /// Fixed solid boxes inside the domain.
     #[serde(rename = "box", skip_serializing_if = "Vec::is_empty")]
     pub boxes: Vec<SolidBox>,
+    /// The flow whose solution is known, if it is one: also gives the initial velocity.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub exact: Option<ExactSolution>,
     /// Numerical scheme and its parameters.
     pub scheme: SchemeParams,
     /// End time and time step.
@@ -81,15 +84,55 @@ impl Fluid {
     pub const KINEMATIC_VISCOSITY: f64 = 1e-6;
 }
 
-/// An axis-aligned box of liquid.
+/// A flow whose solution is known; module [`exact`](crate::exact) has the formulas.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "solution", rename_all = "snake_case")]
+pub enum ExactSolution {
+    /// Decaying vortices in a periodic square.
+    TaylorGreen {
+        /// Largest speed at the start in m/s.
+        speed: f64,
+    },
+    /// A round drop stretched along y.
+    StretchingDrop {
+        /// Rate of stretching at the start in 1/s.
+        rate: f64,
+    },
+    /// A small wave between two walls, from a flat surface.
+    StandingWave {
+        /// Largest elevation in m, if it were not damped.
+        amplitude: f64,
+        /// Number of half waves between the walls.
+        mode: u32,
+    },
+}
+
+/// The shape of a block of liquid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, ValueEnum)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
+pub enum BlockForm {
+    /// All of the box.
+    #[default]
+    Box,
+    /// The ellipse or ellipsoid that touches all its sides.
+    Ellipsoid,
+}
+
+/// An axis-aligned box of liquid, or an ellipsoid in it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FluidBlock {
+    /// What of the box is filled.
+    pub shape: BlockForm,
     /// Lower corner in m.
     pub min: Vec<f64>,
     /// Upper corner in m.
     pub max: Vec<f64>,
     /// Initial velocity in m/s.
     pub velocity: Vec<f64>,
+    /// Angular velocity in rad/s about the block's centre, counterclockwise seen against the last axis (in 2D: in the
+    /// plane; in 3D: about the vertical).
+    pub rotation: f64,
 }
 
 /// A box-shaped tank; `min` and `max` are its inner wall planes.

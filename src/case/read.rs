@@ -10,8 +10,8 @@ use clap::ValueEnum;
 use toml_edit::{Document, Item, TableLike, Value};
 
 use super::{
-    Arrival, CaseFile, Fluid, FluidBlock, OutputParams, Probe, Reference, SchemeKind, SchemeParams, Side,
-    Slip, SolidBox, Tank, TimeParams,
+    Arrival, BlockForm, CaseFile, ExactSolution, Fluid, FluidBlock, OutputParams, Probe, Reference,
+    SchemeKind, SchemeParams, Side, Slip, SolidBox, Tank, TimeParams,
 };
 use crate::{Error, Result};
 
@@ -44,9 +44,14 @@ pub fn read(text: &str, origin: &str, overrides: &[(String, String)]) -> Result<
     let noted = RefCell::new(problems);
     let mut reader = Reader::new(root.as_table_like(), String::new(), 0, &noted);
     reader.dimension = reader.whole("dimension", 2, 3).required() as usize;
-    let case = read_case(&reader);
+    let mut case = read_case(&reader);
     reader.item("run"); // how a run was made: for people, not for us
     reader.reject_unknown();
+    // A shorter run than the file's simply does not reach its later snapshots.
+    let overridden_key = |key: &str| overrides.iter().any(|(changed, _)| changed == key);
+    if overridden_key("time.until") && !overridden_key("output.snapshots") {
+        case.output.snapshots.retain(|time| *time <= case.time.until);
+    }
     let mut problems = noted.into_inner();
     prove(&case, &mut problems);
 
@@ -457,6 +462,7 @@ fn read_case(r: &Reader) -> CaseFile {
             min: r.vector("min", "m").required(),
             max: r.vector("max", "m").required(),
         }),
+        exact: r.optional_section("exact", read_exact),
         scheme: r.section("scheme", read_scheme),
         output: r.section("output", |r| read_output(r, time.until)),
         time,
@@ -480,7 +486,9 @@ fn read_fluid(r: &Reader) -> Fluid {
         blocks: r.sections("block", |r| FluidBlock {
             min: r.vector("min", "m").required(),
             max: r.vector("max", "m").required(),
+            shape: r.variant("shape").or(BlockForm::default()),
             velocity: r.vector("velocity", "m/s").or(vec![0.0; r.dimension]),
+            rotation: r.number("rotation", Range::Any, "rad/s").or(0.0),
         }),
     }
 }
@@ -547,6 +555,25 @@ fn read_probe(r: &Reader) -> Probe {
     let name = r.name("name").required();
     let position = r.vector("position", "m").required();
     if kind == KINDS[0] { Probe::Pressure { name, position } } else { Probe::Height { name, position } }
+}
+
+fn read_exact(r: &Reader) -> ExactSolution {
+    const SOLUTIONS: [&str; 3] = ["taylor_green", "stretching_drop", "standing_wave"];
+    let solution = r.field("solution", format!("one of {SOLUTIONS:?}"), SOLUTIONS[0], |item| {
+        SOLUTIONS.into_iter().find(|&solution| item.as_str() == Some(solution))
+    });
+    match solution.required() {
+        "taylor_green" => {
+            ExactSolution::TaylorGreen { speed: r.number("speed", Range::Positive, "m/s").required() }
+        }
+        "stretching_drop" => {
+            ExactSolution::StretchingDrop { rate: r.number("rate", Range::Positive, "1/s").required() }
+        }
+        _ => ExactSolution::StandingWave {
+            amplitude: r.number("amplitude", Range::Positive, "m").required(),
+            mode: u32::try_from(r.whole("mode", 1, 1000).or(1)).unwrap_or(1),
+        },
+    }
 }
 
 fn read_reference(r: &Reader) -> Reference {

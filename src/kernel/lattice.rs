@@ -16,6 +16,9 @@ pub struct LatticeSums {
     /// Mean distance, weighted by -F, of the lattice planes that a flat surface just above a plane cuts off, in
     /// spacings (slightly above 1): see [`surface`](crate::terms::surface).
     pub missing_distance: f64,
+    /// sum of -V F r^2 / D: what the plain Laplacian makes of a quadratic field, 1 in the continuum (1.036 for
+    /// [`WendlandC2`](super::WendlandC2) with h = 1.2 dx in 2D).
+    pub laplacian: f64,
     /// Share of sum -V F r^2 that comes from neighbours nearer than the radius of the sparse preconditioner.
     pub near_share: f64,
 }
@@ -32,8 +35,14 @@ impl LatticeSums {
         let reach = (support / spacing).ceil() as i64;
         let side = 2 * reach + 1;
         let own_share = volume * smoothing.pair(0.0).0;
-        let mut sums =
-            Self { kernel_sum: own_share, own_share, stiffness: 0.0, missing_distance: 0.0, near_share: 0.0 };
+        let mut sums = Self {
+            kernel_sum: own_share,
+            own_share,
+            stiffness: 0.0,
+            missing_distance: 0.0,
+            laplacian: 0.0,
+            near_share: 0.0,
+        };
         let (mut cut_off, mut second_moment) = (0.0, 0.0);
         for n in 0..side.pow(D as u32) {
             let offset = Vector::<D>::from_fn(|d, _| (n / side.pow(d as u32) % side - reach) as f64);
@@ -56,6 +65,7 @@ impl LatticeSums {
         }
         sums.missing_distance /= cut_off;
         sums.near_share /= second_moment;
+        sums.laplacian = second_moment / D as f64;
         sums
     }
 }

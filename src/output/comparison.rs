@@ -167,13 +167,13 @@ fn interpolate(series: &[(f64, f64)], time: f64) -> f64 {
 }
 
 /// A CSV file by columns; words count as NaN.
-struct Columns {
+pub(super) struct Columns {
     file: String,
     columns: BTreeMap<String, Vec<f64>>,
 }
 
 impl Columns {
-    fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: &Path) -> Result<Self> {
         let file = path.display().to_string();
         let text = std::fs::read_to_string(path).map_err(|error| {
             Error::Input(format!("{file}: cannot be read ({error}): check its path and contents"))
@@ -196,7 +196,7 @@ impl Columns {
         self.columns.keys().map(String::as_str)
     }
 
-    fn column(&self, name: &str) -> Result<&[f64]> {
+    pub fn column(&self, name: &str) -> Result<&[f64]> {
         self.columns.get(name).map(Vec::as_slice).ok_or_else(|| {
             let known = self.names().collect::<Vec<_>>().join(", ");
             Error::Input(format!("{} has no column {name}: it has {known}", self.file))

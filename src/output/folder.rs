@@ -16,6 +16,7 @@ const CONTENTS: &[&str] = &[
     "bodies.pvd",
     "bodies",
     "history.csv",
+    "exact.csv",
     "probes.csv",
     "forces.csv",
     "bodies.csv",

@@ -6,6 +6,7 @@
 
 pub mod checkpoint;
 pub mod comparison;
+pub mod exact_log;
 pub mod folder;
 pub mod observers;
 pub mod probes;

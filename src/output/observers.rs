@@ -17,7 +17,7 @@ use crate::simulation::{Observer, Simulation};
 
 /// Times at which something is due: every `interval`, and listed instants.
 #[derive(Debug, Clone)]
-struct Schedule {
+pub(super) struct Schedule {
     interval: f64,
     next: f64,
     instants: Vec<f64>,
@@ -25,7 +25,7 @@ struct Schedule {
 
 impl Schedule {
     /// `interval` 0: only `instants`. The time `since` has been served already.
-    fn new(interval: f64, mut instants: Vec<f64>, since: f64) -> Self {
+    pub fn new(interval: f64, mut instants: Vec<f64>, since: f64) -> Self {
         instants.retain(|t| *t > since);
         instants.sort_by(|a, b| b.total_cmp(a));
         let next = if interval > 0.0 { interval * ((since / interval).floor() + 1.0) } else { f64::INFINITY };
@@ -33,7 +33,7 @@ impl Schedule {
     }
 
     /// Is anything due at `time`? Serves it.
-    fn due(&mut self, time: f64) -> bool {
+    pub fn due(&mut self, time: f64) -> bool {
         let mut due = false;
         while time >= self.next {
             self.next += self.interval;

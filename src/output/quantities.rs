@@ -44,6 +44,20 @@ impl<'a, const D: usize> Scene<'a, D> {
         let fields = simulation.scheme.fields();
         Self { particles: &simulation.particles, fields, mass, gravity, spacing }
     }
+
+    /// Kernel mean of the pressure in Pa over the liquid around the particle nearest to `r`.
+    pub fn mean_pressure_around(&self, r: &Vector<D>) -> f64 {
+        let Self { particles, fields, .. } = self;
+        let distance = |a: usize| (particles.position[a] - r).norm_squared();
+        let Some(a) = particles.fluid().min_by(|&a, &b| distance(a).total_cmp(&distance(b))) else {
+            return 0.0;
+        };
+        let row = fields.neighbors.row(a);
+        let fluid = row.iter().filter(|(b, ..)| particles.original(*b) >= particles.solids());
+        let (sum, weights) = fluid
+            .fold((0.0, 0.0), |(sum, weights), (b, w, _)| (sum + w * particles.pressure[b], weights + w));
+        sum / weights
+    }
 }
 
 /// Largest x of the liquid in m, lone particles of spray left out: at least 3 fluid neighbours within 1.5 spacings.

@@ -211,14 +211,14 @@ impl<const D: usize> Isph<D> {
     /// v* of liquid and walls, and the source of every pressure row.
     fn predict(&mut self, particles: &Particles<D>, dt: f64) {
         let Params { gravity, kinematic_viscosity: nu, slip, .. } = self.params;
-        let density_relaxation = self.method.density_relaxation;
+        let (density_relaxation, lattice) = (self.method.density_relaxation, &self.lattice);
         let surroundings = self.support.around(particles);
         let (solids, owned) = (particles.solids(), particles.owned());
         self.predicted.resize(particles.len(), Vector::zeros());
         self.predicted[..owned].par_iter_mut().enumerate().with_min_len(512).for_each(|(a, v)| {
             *v = particles.velocity[a] + dt * gravity;
             if nu > 0.0 && a >= solids {
-                *v += dt * nu * viscosity::laplacian(&surroundings, particles, a, slip);
+                *v += dt * nu / lattice.laplacian * viscosity::laplacian(&surroundings, particles, a, slip);
             }
         });
         self.halo.refresh(particles.originals(), &mut self.predicted);

@@ -88,6 +88,7 @@ mod tests {
             own_share: 0.4,
             stiffness: 1.0,
             missing_distance: 1.0,
+            laplacian: 1.0,
             near_share: 1.0,
         };
         assert!(diagonal(&film, 1.0, &lattice, 0.01) > 0.3);
