@@ -57,15 +57,16 @@ impl<'a, const D: usize> Surroundings<'a, D> {
         moments
     }
 
-    /// Difference divergence sum_b V (v_b - v_a) . grad W in 1/s, without the part along `left_out`: of length 1 it
-    /// leaves the divergence in the plane across it, of length 0 nothing out.
-    pub fn divergence(&self, a: usize, velocity: &[Vector<D>], left_out: &Vector<D>) -> f64 {
+    /// Divergence sum_b V (v_b - v_a) . B_a grad W in 1/s, exact for linear fields where B_a exists; without it the
+    /// plain difference form.
+    pub fn divergence(&self, a: usize, velocity: &[Vector<D>], moments: &Moments<D>) -> f64 {
         let v_a = velocity[a];
-        let pair = |(b, r_ab, vf): (usize, Vector<D>, f64)| {
-            let v_ba = velocity[b] - v_a;
-            vf * (v_ba.dot(&r_ab) - v_ba.dot(left_out) * r_ab.dot(left_out))
-        };
-        self.active(a).map(pair).sum()
+        match moments.correction() {
+            Some(b_a) => {
+                self.active(a).map(|(b, r_ab, vf)| vf * (velocity[b] - v_a).dot(&(b_a * r_ab))).sum()
+            }
+            None => self.active(a).map(|(b, r_ab, vf)| vf * (velocity[b] - v_a).dot(&r_ab)).sum(),
+        }
     }
 
     /// sum_b V (q_b - q_a) grad W: the difference gradient before the correction by B_a.

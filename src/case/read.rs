@@ -967,7 +967,7 @@ until = 1
                 "new.key",
                 "1",
                 "--set new.key: new is no key of a case file: use one of dimension, time, name, description, \
-                 spacing, gravity, seed, fluid, tank, box, scheme, output, probe, reference, arrival, run",
+                 spacing, gravity, seed, fluid, tank, box, exact, scheme, output, probe, reference, arrival, run",
             ),
             ("fluid", "1", "--set fluid: fluid is 1: write it as one table [fluid]"),
         ] {

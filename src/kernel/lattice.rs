@@ -16,7 +16,7 @@ pub struct LatticeSums {
     /// Mean distance, weighted by -F, of the lattice planes that a flat surface just above a plane cuts off, in
     /// spacings (slightly above 1): see [`surface`](crate::terms::surface).
     pub missing_distance: f64,
-    /// sum of -V F r^2 / D: what the plain Laplacian makes of a quadratic field, 1 in the continuum (1.036 for
+    /// sum of -V F r^2 / D: what the plain Laplacian makes of a quadratic field, 1 in the continuum (0.964 for
     /// [`WendlandC2`](super::WendlandC2) with h = 1.2 dx in 2D).
     pub laplacian: f64,
     /// Share of sum -V F r^2 that comes from neighbours nearer than the radius of the sparse preconditioner.

@@ -97,6 +97,8 @@ pub struct Isph<const D: usize> {
     assembler: Assembler,
     pairs: Vec<(u32, u32)>,
     reorder: ReorderScratch<D>,
+    /// False in a scene without air, see [`surface`].
+    has_surface: bool,
     /// Largest acceleration of the last step in m/s2.
     acceleration: f64,
     steps: u64,
@@ -157,6 +159,7 @@ impl<const D: usize> Isph<D> {
             assembler: Assembler::default(),
             pairs: vec![],
             reorder: ReorderScratch::default(),
+            has_surface: true,
             acceleration: 0.0,
             steps: 0,
             stages: Stages::default(),
@@ -190,6 +193,7 @@ impl<const D: usize> Isph<D> {
         self.surface.resize(count, 0.0);
         self.crowding.resize(count, 0.0);
         let (lattice, first_fluid, dummies) = (&self.lattice, particles.solids(), particles.dummies());
+        let has_surface = self.has_surface;
         (&mut self.moments[..owned], &mut self.surface[..owned], &mut self.crowding[..owned])
             .into_par_iter()
             .enumerate()
@@ -200,7 +204,7 @@ impl<const D: usize> Isph<D> {
                     return;
                 }
                 *moments = surroundings.moments(a);
-                *weight = surface::weight(moments);
+                *weight = if has_surface { surface::weight(moments) } else { 0.0 };
                 *crowding = (moments.kernel_sum + lattice.own_share) / lattice.kernel_sum;
             });
         self.halo.refresh(particles.originals(), &mut self.moments);
@@ -212,13 +216,22 @@ impl<const D: usize> Isph<D> {
     fn predict(&mut self, particles: &Particles<D>, dt: f64) {
         let Params { gravity, kinematic_viscosity: nu, slip, .. } = self.params;
         let (density_relaxation, lattice) = (self.method.density_relaxation, &self.lattice);
+        let (moments, has_surface) = (&self.moments, self.has_surface);
         let surroundings = self.support.around(particles);
         let (solids, owned) = (particles.solids(), particles.owned());
         self.predicted.resize(particles.len(), Vector::zeros());
         self.predicted[..owned].par_iter_mut().enumerate().with_min_len(512).for_each(|(a, v)| {
             *v = particles.velocity[a] + dt * gravity;
             if nu > 0.0 && a >= solids {
-                *v += dt * nu / lattice.laplacian * viscosity::laplacian(&surroundings, particles, a, slip);
+                *v += dt
+                    * nu
+                    * match has_surface {
+                        true => viscosity::central(&surroundings, particles, a, slip, lattice.laplacian),
+                        false => {
+                            let moment = moments[a].position_divergence() / D as f64;
+                            viscosity::two_point(&surroundings, particles, a, slip, moment)
+                        }
+                    };
             }
         });
         self.halo.refresh(particles.originals(), &mut self.predicted);
@@ -226,8 +239,9 @@ impl<const D: usize> Isph<D> {
         let (surface, crowding) = (&self.surface, &self.crowding);
         self.source.resize(owned, 0.0);
         self.source.par_iter_mut().enumerate().with_min_len(256).for_each(|(a, source)| {
-            let across = surface::normal(&moments[a]) * surface[a].sqrt();
-            let divergence = surroundings.divergence(a, predicted, &across);
+            // The Laplacian of the matrix makes tr M / D of a quadratic field: so must its right-hand side.
+            let share = moments[a].position_divergence() / D as f64;
+            let divergence = (1.0 - surface[a]) * share * surroundings.divergence(a, predicted, &moments[a]);
             let near_surface = surroundings.active(a).any(|(b, ..)| surface[b] > 0.5);
             *source = source::divergence_free(
                 divergence,
@@ -279,11 +293,15 @@ impl<const D: usize> Isph<D> {
         let factor = dt / self.params.density;
         let surroundings = self.support.around(particles);
         let (moments, predicted, pressure) = (&self.moments, &self.predicted, &particles.pressure);
+        let (surface, spacing) = (&self.surface, self.params.spacing);
         self.change.resize(particles.owned() - first, (Vector::zeros(), Vector::zeros()));
         self.change.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, (change, new))| {
             let a = first + k;
             let gradient = match moments[a].correction() {
-                Some(b) => b * surroundings.difference_gradient(a, pressure),
+                Some(b) => {
+                    let inner = b * surroundings.difference_gradient(a, pressure);
+                    surface::gradient(inner, &moments[a], surface[a], pressure[a], spacing)
+                }
                 None => surroundings.symmetric_gradient(a, pressure),
             };
             *new = predicted[a] - factor * gradient;
@@ -378,22 +396,26 @@ impl<const D: usize> Scheme<D> for Isph<D> {
     fn start(&mut self, particles: &mut Particles<D>) -> Result<()> {
         // Any short step gives the pressure of a state whose velocity is free of divergence.
         let dt = 0.1 * self.max_dt(particles);
+        // The divergence that the pressure answers to shows only as the liquid moves.
+        self.drift(particles, dt);
         self.survey(particles);
+        self.has_surface = self.ranks.max(self.surface.iter().copied().fold(0.0, f64::max)) > 0.0;
         self.predict(particles, dt);
         self.assemble(particles);
         self.solver.check(&self.assembler.system)?;
         self.solver.solve(&mut self.assembler.system)?;
         self.take_pressure(particles);
+        self.drift(particles, -dt);
         Ok(())
     }
 
     fn state(&self) -> Vec<f64> {
-        vec![self.acceleration, self.steps as f64]
+        vec![self.acceleration, self.steps as f64, f64::from(u8::from(self.has_surface))]
     }
 
     fn set_state(&mut self, state: &[f64]) -> Option<()> {
-        let &[acceleration, steps] = state else { return None };
-        (self.acceleration, self.steps) = (acceleration, steps as u64);
+        let &[acceleration, steps, has_surface] = state else { return None };
+        (self.acceleration, self.steps, self.has_surface) = (acceleration, steps as u64, has_surface == 1.0);
         Some(())
     }
 
