@@ -1,7 +1,7 @@
 //! From a proven case file to particles and scheme parameters of one dimension.
 
-use super::{CaseFile, SchemeParams, Side};
-use crate::geometry::{Aabb, BlockShape, Lattice, Shapes, TankShape};
+use super::{CaseFile, Probe, SchemeParams, Side, axes};
+use crate::geometry::{Aabb, BlockShape, Lattice, Shapes, SolidSide, TankShape};
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Params, isph};
 use crate::terms::collision::Collisions;
@@ -15,7 +15,9 @@ pub struct Scene<const D: usize> {
     pub params: Params<D>,
     /// Inner walls of the tank, if there is one.
     pub tank: Option<TankShape<D>>,
-    /// One sentence for each length that did not fit the lattice.
+    /// The lattice they lie on.
+    pub lattice: Lattice<D>,
+    /// One sentence for each length that did not fit the lattice, and for each gauge that moved along.
     pub snapped: Vec<String>,
 }
 
@@ -31,7 +33,29 @@ pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
     let lattice = Lattice::new(&shapes, case.spacing);
     let mut particles = lattice.particles(layers(D, params.support() / case.spacing));
     jitter(&mut particles, case.scheme.jitter * case.spacing, case.seed);
-    Scene { particles, params, tank: shapes.tank, snapped: lattice.snapped }
+    let moved = case.probes.iter().flat_map(|probe| moved_gauge(case, &lattice, probe));
+    let snapped = lattice.snapped.iter().cloned().chain(moved).collect();
+    Scene { particles, params, tank: shapes.tank, lattice, snapped }
+}
+
+/// Sentences on how a gauge follows the face it is on.
+fn moved_gauge<const D: usize>(case: &CaseFile, lattice: &Lattice<D>, probe: &Probe) -> Vec<String> {
+    let Some(at) = probe.position().map(vector) else { return vec![] };
+    let (to, Some(side)) = lattice.follow(&at) else { return vec![] };
+    let solid = side.solid.map_or("the tank", |k| &case.boxes[k].name);
+    let [name, side] = [probe.name(), side_name::<D>(side)];
+    let axes = axes(D).enumerate().filter(|&(d, _)| (to[d] - at[d]).abs() > 1e-6 * case.spacing);
+    axes.map(|(d, axis)| {
+        format!("gauge {name} {axis} = {} m follows the {side} side of {solid} to {:.6} m", at[d], to[d])
+    })
+    .collect()
+}
+
+fn side_name<const D: usize>(side: SolidSide) -> &'static str {
+    let sides = [Side::Left, Side::Right, Side::Bottom, Side::Top, Side::Front, Side::Back];
+    let is_it = |name: &Side| D > 2 || !matches!(name, Side::Front | Side::Back);
+    let found = sides.into_iter().filter(is_it).find(|name| side_of::<D>(*name) == (side.axis, side.end));
+    found.map_or("", Side::name)
 }
 
 fn params<const D: usize>(case: &CaseFile) -> Params<D> {
@@ -84,7 +108,7 @@ fn shapes<const D: usize>(case: &CaseFile) -> Shapes<D> {
 }
 
 /// Axis of a side, and 0 for its lower or 1 for its upper end.
-fn side_of<const D: usize>(side: Side) -> (usize, usize) {
+pub fn side_of<const D: usize>(side: Side) -> (usize, usize) {
     match side {
         Side::Left => (0, 0),
         Side::Right => (0, 1),
