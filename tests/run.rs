@@ -400,14 +400,17 @@ fn forces_in_still_water_are_weight_thrust_and_buoyancy() {
         "--set fluid.block={blocks} --set box=[{{min=[0.15,0.1],max=[0.25,0.2]}}] {}",
         probes(&["box1", "left", "right", "bottom", "walls"])
     );
-    done(&folder, &format!("still_water_2d --until 0.1 --threads 1 --out two {sets}"));
+    done(
+        &folder,
+        &format!("still_water_2d --until 0.1 --set output.gauges=0.02 --threads 1 --out two {sets}"),
+    );
     near(force("two", "box1_y_n"), weight * 0.01, "buoyancy");
     near(force("two", "bottom_y_n"), -weight * 0.16, "weight of liquid and block's place");
     near(force("two", "walls_y_n"), -weight * 0.16, "the same");
     near(force("two", "left_x_n"), -weight * 0.5 * 0.16, "thrust");
     near(force("two", "right_x_n"), weight * 0.5 * 0.16, "thrust");
     assert!(force("two", "box1_x_n").abs() < 0.01 * weight * 0.01, "no thrust on the block");
-    assert_eq!(column(&folder.path().join("two/forces.csv"), "time_s").len(), 101, "a row each ms");
+    assert_eq!(column(&folder.path().join("two/forces.csv"), "time_s").len(), 6, "rows as often as asked");
 
     let sets = format!(
         "--spacing 0.02 --set fluid.block=[{{min=[0.0,0.0,0.0],max=[0.2,0.2,0.06]}},{{min=[0.0,0.0,0.06],max=[0.06,0.2,0.14]}},\
@@ -470,4 +473,26 @@ fn references_are_read_before_the_run_and_compared_after_it() {
     assert_eq!(reference["name"], "martin_moyce");
     assert!(reference["values"].as_u64().unwrap() > 3);
     assert!(reference["rms"].as_f64().unwrap() < 0.3, "{reference}");
+}
+
+#[test]
+fn one_file_serves_all_references_that_name_it() {
+    let measured = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../shared/reference/spheric02_kleefsman2005/pressures_heights.csv");
+    if !measured.is_file() {
+        eprintln!("skipped: no {}", measured.display());
+        return;
+    }
+    let folder = folder();
+    let case = "dam_break_3d_fixed --spacing 0.1 --until 0.05 --set output.snapshots=[]";
+    let table = done(&folder, &format!("{case} --out all --reference {}", measured.display()));
+    let all = summary(&folder.path().join("all"));
+    let windows: Vec<_> = all["references"].as_array().unwrap().iter().map(|r| r["name"].clone()).collect();
+    assert_eq!(windows.len(), 24, "twelve gauges in two windows");
+    assert!(table.contains("none of the values of a window within the run"), "{table}");
+    let expected = all["arrivals"][1]["expected_time_s"].as_f64().unwrap();
+    assert!((0.358..0.393).contains(&expected), "measured at h2 before the box is hit: {expected} s");
+
+    let table = done(&folder, &format!("{case} --out one --reference p3={}", measured.display()));
+    assert!(table.contains("not given: p1, p2, p4,"), "{table}");
 }

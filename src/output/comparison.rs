@@ -226,7 +226,8 @@ impl<'a> Series<'a> {
         let peak = both(reference.mean).map(|(window, grid)| {
             let of = |values: &[f64]| {
                 let means = times.iter().copied().zip(running_mean(values, window / grid));
-                means.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((f64::NAN, f64::NAN))
+                // Of equal ones the earliest.
+                means.rev().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((f64::NAN, f64::NAN))
             };
             Pair { run: of(&values), reference: of(&data) }
         });
