@@ -104,7 +104,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "S,S", value_delimiter = ',', help_heading = "Output")]
     #[arg(value_parser = seconds, allow_negative_numbers = true)]
     pub snapshots: Vec<f64>,
-    /// Measured data that errors are measured against, for the case's reference NAME; repeatable
+    /// Measured data that errors are measured against, for the case's reference NAME or for all that share a file; repeatable
     #[arg(long = "reference", value_name = "[NAME=]FILE", value_parser = reference, help_heading = "Output")]
     pub references: Vec<ReferenceFile>,
     /// Instants in s whose pressure systems are saved in PETSc's binary format
@@ -130,7 +130,7 @@ pub struct RunArgs {
 /// The data file of a reference.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReferenceFile {
-    /// Which reference of the case; none: its only one.
+    /// Which reference of the case; none: its only one, or all where all name one data file.
     pub name: Option<String>,
     /// A CSV file with the columns that the reference names.
     pub file: PathBuf,
@@ -227,21 +227,29 @@ impl RunArgs {
         let names: Vec<_> = case.references.iter().map(|reference| reference.name.as_str()).collect();
         let known =
             if names.is_empty() { "has none".to_owned() } else { format!("has {}", names.join(", ")) };
-        let resolve = |ReferenceFile { name, file }: &'a ReferenceFile| {
-            let found = match name {
-                Some(name) => case.references.iter().find(|reference| reference.name == *name),
-                None => case.references.first().filter(|_| names.len() == 1),
+        let share_a_file = names.len() == 1
+            || case.references.first().is_some_and(|first| first.file.is_some())
+                && case.references.iter().all(|reference| reference.file == case.references[0].file);
+        let mut resolved = Vec::new();
+        for ReferenceFile { name, file } in &self.references {
+            let serves = |reference: &&Reference| match name {
+                Some(name) => reference.name == *name,
+                None => share_a_file,
+            };
+            let served: Vec<_> = case.references.iter().filter(serves).collect();
+            let problem = match (served.is_empty(), file.is_file()) {
+                (true, _) => format!("write NAME=FILE with the name of a reference; the case {known}"),
+                (_, false) => "there is no such file: correct its path".to_owned(),
+                _ => {
+                    resolved.extend(served.into_iter().map(|reference| (reference, file.as_path())));
+                    continue;
+                }
             };
             let typed =
                 name.as_ref().map(|name| format!("{name}=")).unwrap_or_default() + &file.to_string_lossy();
-            let problem = match found {
-                None => format!("write NAME=FILE with the name of a reference; the case {known}"),
-                Some(_) if !file.is_file() => "there is no such file: correct its path".to_owned(),
-                Some(reference) => return Ok((reference, file.as_path())),
-            };
-            Err(Error::Input(format!("--reference {typed}: {problem}")))
-        };
-        self.references.iter().map(resolve).collect()
+            return Err(Error::Input(format!("--reference {typed}: {problem}")));
+        }
+        Ok(resolved)
     }
 
     /// How much the log prints.

@@ -64,6 +64,54 @@ pub struct Shapes<const D: usize> {
     pub blocks: Vec<BlockShape<D>>,
 }
 
+/// What a wall particle belongs to, and which of its cell's faces open space touches.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct WallCell<const D: usize> {
+    /// The box it is part of; none: the tank.
+    pub solid: Option<usize>,
+    /// `open[axis] = [towards lower, towards higher coordinates]`; none at all for a cell that fills a corner.
+    pub open: [[bool; 2]; D],
+    /// For the tank: -1 or 1 along each axis on whose lower or upper side it lies outside, else 0.
+    pub outside: [i8; D],
+}
+
+/// A flat side of a solid, by its axis and its end (0 lower, 1 upper) there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SolidSide {
+    /// The box; none: the tank.
+    pub solid: Option<usize>,
+    /// Axis that the side is normal to.
+    pub axis: usize,
+    /// 0: the side at the lowest, 1: at the highest coordinate.
+    pub end: usize,
+}
+
+impl<const D: usize> Aabb<D> {
+    fn end(&self, end: usize) -> &Vector<D> {
+        [&self.min, &self.max][end]
+    }
+
+    /// Does the straight line from `from` to `to` pass through the inside? Touching a face is not passing.
+    fn blocks(&self, from: &Vector<D>, to: &Vector<D>, tolerance: f64) -> bool {
+        // The part of the line, as shares of its length, that is between the planes of every axis.
+        let (mut enters, mut leaves) = (0.0_f64, 1.0_f64);
+        for d in 0..D {
+            let (low, high) = (self.min[d] + tolerance, self.max[d] - tolerance);
+            let along = to[d] - from[d];
+            if along.abs() < tolerance {
+                if from[d] <= low || from[d] >= high {
+                    return false;
+                }
+                continue;
+            }
+            let (a, b) = ((low - from[d]) / along, (high - from[d]) / along);
+            enters = enters.max(a.min(b));
+            leaves = leaves.min(a.max(b));
+        }
+        enters < leaves
+    }
+}
+
 type Cell<const D: usize> = [i64; D];
 
 /// Half-open range of cells.
@@ -97,6 +145,7 @@ impl<const D: usize> CellBox<D> {
 pub struct Lattice<const D: usize> {
     spacing: f64,
     origin: Vector<D>,
+    shapes: Shapes<D>,
     tank: Option<(CellBox<D>, TankShape<D>)>,
     boxes: Vec<CellBox<D>>,
     blocks: Vec<(CellBox<D>, BlockShape<D>)>,
@@ -112,8 +161,15 @@ impl<const D: usize> Lattice<D> {
             (None, Some(block)) => block.extent.min,
             (None, None) => Vector::zeros(),
         };
-        let mut lattice =
-            Self { spacing, origin, tank: None, boxes: vec![], blocks: vec![], snapped: vec![] };
+        let mut lattice = Self {
+            spacing,
+            origin,
+            shapes: shapes.clone(),
+            tank: None,
+            boxes: vec![],
+            blocks: vec![],
+            snapped: vec![],
+        };
         lattice.tank = shapes.tank.map(|t| (lattice.snap("tank", &t.inner), t));
         lattice.boxes = shapes.boxes.iter().map(|b| lattice.snap("box", b)).collect();
         lattice.blocks = shapes.blocks.iter().map(|b| (lattice.snap("fluid block", &b.extent), *b)).collect();
@@ -158,6 +214,70 @@ impl<const D: usize> Lattice<D> {
             true => tank.min[d] + (cell[d] - tank.min[d]).rem_euclid(tank.max[d] - tank.min[d]),
             false => cell[d],
         })
+    }
+
+    /// Where a point given in the unsnapped scene lies on the lattice: a point within half a spacing of a side of a box
+    /// or of a tank wall goes with that side (the nearest one), every other point stays.
+    pub fn follow(&self, point: &Vector<D>) -> (Vector<D>, Option<SolidSide>) {
+        let Shapes { tank, boxes, .. } = &self.shapes;
+        let solids = boxes.iter().enumerate().map(|(k, solid)| (Some(k), *solid, self.snapped_box(k)));
+        let tank = tank.zip(self.tank).map(|(shape, (cells, _))| (None, shape.inner, self.extent(&cells)));
+        let reach = (0.5 + 1e-6) * self.spacing;
+        let mut nearest: Option<(f64, SolidSide, Aabb<D>)> = None;
+        for (solid, given, snapped) in solids.chain(tank) {
+            let inside = (0..D).all(|d| given.min[d] - reach <= point[d] && point[d] <= given.max[d] + reach);
+            for (axis, end) in (0..D).flat_map(|axis| [(axis, 0), (axis, 1)]).filter(|_| inside) {
+                let away = (point[axis] - given.end(end)[axis]).abs();
+                let is_wall = solid.is_some()
+                    || !self.shapes.tank.is_some_and(|t| t.open[axis][end] || t.periodic[axis]);
+                if is_wall && away <= reach && nearest.is_none_or(|(least, ..)| away < least) {
+                    nearest = Some((away, SolidSide { solid, axis, end }, snapped));
+                }
+            }
+        }
+        let Some((_, side, snapped)) = nearest else { return (*point, None) };
+        // Along the side too it stays on what has become of it.
+        let mut moved = point.sup(&snapped.min).inf(&snapped.max);
+        moved[side.axis] = snapped.end(side.end)[side.axis];
+        (moved, Some(side))
+    }
+
+    /// The boxes as obstacles to sight: one that stands on a tank wall goes on behind it.
+    pub fn obstacles(&self) -> Obstacles<D> {
+        let extended = |cells: &CellBox<D>| {
+            let mut solid = self.extent(cells);
+            if let Some((tank, _)) = &self.tank {
+                for d in 0..D {
+                    if cells.min[d] == tank.min[d] {
+                        solid.min[d] = f64::NEG_INFINITY;
+                    }
+                    if cells.max[d] == tank.max[d] {
+                        solid.max[d] = f64::INFINITY;
+                    }
+                }
+            }
+            solid
+        };
+        Obstacles { boxes: self.boxes.iter().map(extended).collect(), tolerance: 1e-6 * self.spacing }
+    }
+
+    /// What each wall particle of [`particles`](Self::particles) is, in their order.
+    pub fn wall_cells(&self) -> Vec<WallCell<D>> {
+        let touching = stencil::<D>(1);
+        // Regions keep their order whatever the number of layers: wall cells lie in the first.
+        let cells = self.solid_regions(1).into_iter();
+        let walls = cells.filter(|cell| touching.iter().any(|o| self.is_open(&shifted(cell, o))));
+        let wall = |cell: Cell<D>| WallCell {
+            solid: self.boxes.iter().position(|b| b.contains(&cell)),
+            open: std::array::from_fn(|d| {
+                [-1, 1].map(|step| self.is_open(&std::array::from_fn(|k| cell[k] + i64::from(k == d) * step)))
+            }),
+            outside: std::array::from_fn(|d| {
+                self.tank
+                    .map_or(0, |(tank, _)| i8::from(cell[d] >= tank.max[d]) - i8::from(cell[d] < tank.min[d]))
+            }),
+        };
+        walls.map(wall).collect()
     }
 
     fn centre(&self, cell: &Cell<D>) -> Vector<D> {
@@ -254,6 +374,20 @@ impl<const D: usize> Lattice<D> {
             }));
         }
         cells
+    }
+}
+
+/// What stands between two points.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Obstacles<const D: usize> {
+    boxes: Vec<Aabb<D>>,
+    tolerance: f64,
+}
+
+impl<const D: usize> Obstacles<D> {
+    /// Is the straight line between two points free of solid boxes? It may run along their faces.
+    pub fn leave_free(&self, from: &Vector<D>, to: &Vector<D>) -> bool {
+        !self.boxes.iter().any(|solid| solid.blocks(from, to, self.tolerance))
     }
 }
 
@@ -368,5 +502,79 @@ mod tests {
         shapes.blocks[0].extent.max.y = 0.4021;
         let lattice = Lattice::new(&shapes, 0.005);
         assert_eq!(lattice.snapped, ["fluid block max y = 0.4021 m becomes 0.400000 m"]);
+    }
+
+    /// A 0.161 m box on the floor of a 3.22 m tank, as measured by Kleefsman et al. (2005), at a spacing of 0.0183 m.
+    fn kleefsman() -> Lattice<3> {
+        let inner = Aabb { min: Vector::zeros(), max: Vector::<3>::new(3.22, 1.0, 1.0) };
+        let solid =
+            Aabb { min: Vector::<3>::new(2.3955, 0.2985, 0.0), max: Vector::<3>::new(2.5565, 0.7015, 0.161) };
+        let open = [[false; 2], [false; 2], [false, true]];
+        let shapes = Shapes {
+            tank: Some(TankShape { inner, open, periodic: [false; 2] }),
+            boxes: vec![solid],
+            blocks: vec![],
+        };
+        Lattice::new(&shapes, 0.0183)
+    }
+
+    #[test]
+    fn points_on_a_face_follow_it_and_others_stay() {
+        let lattice = kleefsman();
+        let at = |x: f64, y: f64, z: f64| lattice.follow(&Vector::<3>::new(x, y, z));
+        let snapped = lattice.snapped_box(0);
+        assert!((snapped.max.z - 0.1647).abs() < 1e-9, "0.161 m becomes 0.1647 m");
+        let (front, side) = at(2.3955, 0.5255, 0.021);
+        assert_eq!(side, Some(SolidSide { solid: Some(0), axis: 0, end: 0 }));
+        assert!((front - Vector::<3>::new(131.0 * 0.0183, 0.5255, 0.021)).norm() < 1e-9, "{front}");
+        let (top, _) = at(2.4165, 0.4745, 0.161);
+        assert!((top - Vector::<3>::new(2.4165, 0.4745, 0.1647)).norm() < 1e-9, "{top}");
+        let (wall, side) = at(3.22, 0.5, 0.2);
+        assert_eq!(side, Some(SolidSide { solid: None, axis: 0, end: 1 }));
+        assert!((wall.x - 3.2208).abs() < 1e-9);
+        assert_eq!(at(2.38, 0.5, 0.1), (Vector::<3>::new(2.38, 0.5, 0.1), None), "15 mm before the box");
+        assert_eq!(at(1.0, 0.5, 1.0).1, None, "an open side is no wall");
+    }
+
+    #[test]
+    fn nothing_is_seen_through_a_box_or_under_it() {
+        let lattice = kleefsman();
+        let obstacles = lattice.obstacles();
+        let solid = lattice.snapped_box(0);
+        let before = |z: f64| Vector::<3>::new(solid.min.x, 0.5, z);
+        let free = |from: Vector<3>, to: Vector<3>| obstacles.leave_free(&from, &to);
+        assert!(free(before(0.02), before(0.1)), "along the face");
+        assert!(free(before(0.02), before(0.02) - Vector::<3>::new(0.01, 0.0, 0.0)), "away from it");
+        assert!(!free(before(0.02), Vector::<3>::new(solid.max.x, 0.5, 0.02)), "through");
+        assert!(!free(before(0.0), Vector::<3>::new(solid.max.x, 0.5, -0.009)), "under");
+        assert!(!free(before(0.15), Vector::<3>::new(solid.min.x + 0.01, 0.5, solid.max.z)), "over the edge");
+    }
+
+    #[test]
+    fn wall_cells_are_the_wall_particles_and_their_faces_the_area_of_the_solids() {
+        let lattice = kleefsman();
+        let (cells, particles) = (lattice.wall_cells(), lattice.particles(4, |_, _| Vector::zeros()));
+        assert_eq!(cells.len(), particles.walls().len());
+        let face = |cells: &[WallCell<3>], solid, axis: usize, end: usize| {
+            cells.iter().filter(|c| c.solid == solid && c.open[axis][end]).count()
+        };
+        let counts = lattice.boxes[0].max.iter().zip(lattice.boxes[0].min).map(|(b, a)| (b - a) as usize);
+        let [x, y, z]: [usize; 3] = counts.collect::<Vec<_>>().try_into().unwrap();
+        assert_eq!(face(&cells, Some(0), 0, 0), y * z);
+        assert_eq!(face(&cells, Some(0), 2, 1), x * y);
+        assert_eq!(face(&cells, Some(0), 2, 0), 0, "it stands on the floor");
+        assert_eq!(face(&cells, None, 2, 1), 176 * 55 - x * y, "the floor but for the box");
+        for (cell, position) in cells.iter().zip(&particles.position) {
+            let in_box = cell.solid.is_some();
+            assert_eq!(
+                in_box,
+                position.x > 0.0
+                    && position.x < 3.22
+                    && position.z > 0.0
+                    && position.y > 0.0
+                    && position.y < 1.0
+            );
+            assert_eq!(cell.outside[2], -i8::from(position.z < 0.0));
+        }
     }
 }

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::case::{Arrival, CaseFile};
 use crate::exact::ErrorMeasure;
-use crate::output::comparison::Comparison;
+use crate::output::comparison::{ArrivalTime, Comparison, SeriesError};
 use crate::output::observers::Energy;
 use crate::particles::Particles;
 use crate::scheme::Scheme;
@@ -53,18 +53,14 @@ impl<const D: usize> Report<'_, D> {
             .iter()
             .map(|(name, spent)| (name.into(), spent.as_secs_f64().into()))
             .collect();
-        let series = self.comparison.series.iter().map(|s| {
-            json!({
-                "name": s.name, "values": s.count, "rms_of_mean": s.rms, "largest_of_mean": s.largest,
-                "best_shift_s": s.best_shift.0, "rms_of_mean_after_shift": s.best_shift.1,
-            })
-        });
+        let series = self.comparison.series.iter().map(series_json);
         let arrivals = self.comparison.arrivals.iter().map(|a| {
             json!({
-                "quantity": a.expected.quantity, "level": a.expected.level, "time_s": a.time,
-                "expected_time_s": a.expected.expected_time, "source": a.expected.source,
+                "quantity": a.arrival.quantity, "level": a.arrival.level, "time_s": a.time,
+                "expected_time_s": a.expected, "source": a.arrival.source,
             })
         });
+        let missing = self.comparison.missing.iter().map(|(name, _)| name);
         json!({
             "case": self.case.name,
             "version": env!("CARGO_PKG_VERSION"),
@@ -89,6 +85,7 @@ impl<const D: usize> Report<'_, D> {
             "collisions": t.collisions,
             "errors": self.errors,
             "references": series.collect::<Vec<_>>(),
+            "references_not_given": missing.collect::<Vec<_>>(),
             "arrivals": arrivals.collect::<Vec<_>>(),
         })
     }
@@ -158,31 +155,119 @@ impl<const D: usize> fmt::Display for Report<'_, D> {
                 format!("{}: rms {:.3} %, largest {:.3} % of {}", e.name, 100.0 * e.rms, 100.0 * e.max, e.of),
             )?;
         }
-        for s in &self.comparison.series {
-            if s.count == 0 {
-                line("reference", format!("{}: none of its values within the run", s.name))?;
-                continue;
-            }
-            line(
-                "reference",
-                format!(
-                    "{}: rms {:.2} % of the mean, largest {:.2} %, with a shift of {:.4} s rms {:.2} % ({} values)",
-                    s.name,
-                    100.0 * s.rms,
-                    100.0 * s.largest,
-                    s.best_shift.0,
-                    100.0 * s.best_shift.1,
-                    s.count
-                ),
-            )?;
+        for (name, value) in reference_lines(&self.comparison) {
+            line(name, value)?;
         }
-        for a in &self.comparison.arrivals {
-            let time = a.time.map_or("not within the run".to_owned(), |t| format!("{t:.4} s"));
-            let Arrival { quantity, level, expected_time, source } = &a.expected;
-            line("arrival", format!("{quantity} at {level}: {time}, expected {expected_time} s ({source})"))?;
+        for arrival in &self.comparison.arrivals {
+            line("arrival", arrival_sentence(arrival))?;
         }
         line("files", self.folder.display().to_string())
     }
+}
+
+/// One window of one reference for scripts; sizes in SI units, differences over `size`.
+fn series_json(s: &SeriesError) -> Value {
+    let mut value = json!({
+        "name": s.name, "from_s": s.window.0, "until_s": s.window.1, "values": s.count,
+        "normalised_by": s.normalised_by, "size": s.size, "rms": s.rms, "largest": s.largest,
+        "best_shift_s": s.best_shift.0, "rms_after_shift": s.best_shift.1,
+    });
+    if let Some(peak) = s.peak {
+        value["peak"] = json!({
+            "value": peak.run.1, "time_s": peak.run.0,
+            "reference_value": peak.reference.1, "reference_time_s": peak.reference.0,
+        });
+    }
+    if let Some(noise) = s.noise {
+        value["noise"] = json!({ "value": noise.run, "reference_value": noise.reference });
+    }
+    value
+}
+
+/// What the references say: a table with a row for each window, what it is normalised by, and what was not given.
+fn reference_lines(comparison: &Comparison) -> Vec<(&'static str, String)> {
+    let Comparison { series, missing, .. } = comparison;
+    let mut lines = vec![];
+    let (compared, out_of_reach): (Vec<_>, Vec<_>) = series.iter().partition(|s| s.count > 0);
+    if !compared.is_empty() {
+        let width = compared.iter().map(|s| s.name.len()).max().unwrap_or(0);
+        let head = format!(
+            "{:width$} {:>13} {:>7} {:>7} {:>8} {:>7} {:>18} {:>18} {:>15}",
+            "",
+            "window, s",
+            "rms %",
+            "max %",
+            "shift ms",
+            "rms %",
+            "peak at s",
+            "measured",
+            "noise, measured"
+        );
+        lines.push(("references", head.trim_end().to_owned()));
+        for s in compared {
+            let percent = |share: f64| format!("{:.2}", 100.0 * share);
+            let peak = |(time, value): (f64, f64)| format!("{} at {time:.3}", short(value));
+            let noise = s.noise.map(|n| format!("{}, {}", short(n.run), short(n.reference)));
+            let row = format!(
+                "{:width$} {:>13} {:>7} {:>7} {:>8.1} {:>7} {:>18} {:>18} {:>15}",
+                s.name,
+                format!("{:.2}-{:.2}", s.window.0, s.window.1),
+                percent(s.rms),
+                percent(s.largest),
+                1e3 * s.best_shift.0,
+                percent(s.best_shift.1),
+                s.peak.map(|p| peak(p.run)).unwrap_or_default(),
+                s.peak.map(|p| peak(p.reference)).unwrap_or_default(),
+                noise.unwrap_or_default(),
+            );
+            lines.push(("", row.trim_end().to_owned()));
+        }
+    }
+    let mut sizes: Vec<(&str, Vec<String>)> = vec![];
+    for s in series.iter().filter(|s| s.count > 0) {
+        let size = format!("{} {}", s.name, short(s.size));
+        match sizes.iter_mut().find(|(by, _)| *by == s.normalised_by) {
+            Some((_, all)) if !all.contains(&size) => all.push(size),
+            Some(_) => {}
+            None => sizes.push((&s.normalised_by, vec![size])),
+        }
+    }
+    lines.extend(sizes.iter().map(|(by, all)| ("normalised by", format!("{by}: {}", all.join(", ")))));
+    if !out_of_reach.is_empty() {
+        let names = unique(out_of_reach.iter().map(|s| s.name.as_str()));
+        lines.push(("references", format!("{names}: none of the values of a window within the run")));
+    }
+    if !missing.is_empty() {
+        let names = unique(missing.iter().map(|(name, _)| name.as_str()));
+        let file = missing.iter().find_map(|(_, file)| file.as_deref()).unwrap_or("NAME=FILE");
+        lines.push(("references", format!("not given: {names} (--reference {file})")));
+    }
+    lines
+}
+
+fn unique<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let mut all: Vec<_> = names.collect();
+    all.dedup();
+    all.join(", ")
+}
+
+/// Four digits or a little more.
+fn short(value: f64) -> String {
+    match value.abs() {
+        size if size >= 1000.0 => format!("{value:.0}"),
+        size if size >= 10.0 => format!("{value:.1}"),
+        _ => format!("{value:.4}"),
+    }
+}
+
+fn arrival_sentence(found: &ArrivalTime) -> String {
+    let Arrival { quantity, level, source, .. } = &found.arrival;
+    let time = found.time.map_or("not within the run".to_owned(), |t| format!("{t:.4} s"));
+    let expected = match found.expected {
+        Some(expected) => format!("expected {expected} s"),
+        None => "its reference was not given".to_owned(),
+    };
+    format!("{quantity} at {level}: {time}, {expected} ({source})")
 }
 
 /// Largest resident memory of this process in MB, where the system tells.

@@ -11,7 +11,7 @@ use crate::cli::{self, RunArgs};
 use crate::exact;
 use crate::output::comparison::References;
 use crate::output::exact_log::ExactLog;
-use crate::output::observers::{History, Snapshots, SolverLog};
+use crate::output::observers::{History, Probes, Snapshots, SolverLog};
 use crate::output::{Progress, RunFolder, Status, write_atomic};
 use crate::output::{checkpoint, restart};
 use crate::ppe::PressureSolve;
@@ -69,6 +69,7 @@ struct Run<'a, const D: usize> {
     simulation: Simulation<D>,
     history: History<D>,
     exact: Option<ExactLog<D>>,
+    probes: Probes<D>,
     solver_log: SolverLog,
     snapshots: Snapshots<D>,
     progress: Progress,
@@ -84,24 +85,25 @@ struct Run<'a, const D: usize> {
 impl<'a, const D: usize> Run<'a, D> {
     /// Everything that can be wrong is found here, before the first file is written.
     fn prepare(args: &'a RunArgs, case: &'a CaseFile) -> Result<Self> {
-        let Scene { particles, params, tank, snapped } = build::scene::<D>(case);
+        let scene = build::scene::<D>(case);
+        let Scene { particles, params, tank, snapped, .. } = &scene;
         let references = References::read(case, &args.reference_files(case)?)?;
         let resumed = resume_from(args, case)?;
         let solver = pressure_solver(args, particles.fluid().len())?;
         let described = solver.describe();
 
-        let scheme = Box::new(Isph::new(params.clone(), build::isph(case), &particles, solver));
+        let scheme = Box::new(Isph::new(params.clone(), build::isph(case), particles, solver));
         let control =
             StepControl { fixed: case.time.step, largest: case.time.step_max.unwrap_or(f64::INFINITY) };
         let mut simulation =
-            Simulation::new(particles, scheme, control, tank, params.gravity, params.support());
+            Simulation::new(particles.clone(), scheme, control, *tank, params.gravity, params.support());
         let started = match simulation.start() {
             Err(wrong @ Error::Input(_)) => return Err(wrong),
             // A saved state brings its pressure along.
             _ if resumed.is_some() => Ok(()),
             outcome => outcome,
         };
-        for sentence in &snapped {
+        for sentence in snapped {
             log::info!("{sentence} (no multiple of the spacing)");
         }
         log::info!("{described}");
@@ -115,16 +117,19 @@ impl<'a, const D: usize> Run<'a, D> {
         };
         write_run_file(&folder, args, case)?;
         let since = saved.as_ref().map(|_| simulation.time);
-        let mut history = History::new(&folder, case, &params, since)?;
+        let mut history = History::new(&folder, case, params, since)?;
+        let mut probes = Probes::new(&folder, case, &scene, since)?;
         if let Some(state) = &saved {
             history.restore(state)?;
+            probes.restore(state)?;
         }
-        let exact = exact::of_case(case, &params)
-            .map(|exact| ExactLog::new(&folder, exact, &params, case.output.samples, since))
+        let exact = exact::of_case(case, params)
+            .map(|exact| ExactLog::new(&folder, exact, params, case.output.samples, since))
             .transpose()?;
         let mut run = Self {
             history,
             exact,
+            probes,
             solver_log: SolverLog::new(&folder, &args.save_systems, since)?,
             snapshots: Snapshots::new(&folder, case, since)?,
             progress: Progress::new(case.time.until, args.quiet),
@@ -148,6 +153,7 @@ impl<'a, const D: usize> Run<'a, D> {
             if let Some(exact) = &mut run.exact {
                 exact.sample(&run.simulation)?;
             }
+            run.probes.sample(&run.simulation)?;
             run.snapshots.write(&run.simulation)?;
         }
         Ok(run)
@@ -167,7 +173,7 @@ impl<'a, const D: usize> Run<'a, D> {
             self.save_failing_state()?;
         }
         self.progress.finish();
-        let comparison = self.references.compare(&self.folder.join("history.csv"))?;
+        let comparison = self.references.compare(self.folder.path())?;
         let report = Report {
             case: self.case,
             scheme: self.simulation.scheme.as_ref(),
@@ -196,6 +202,7 @@ impl<'a, const D: usize> Run<'a, D> {
             if let Some(exact) = &mut self.exact {
                 exact.observe(&self.simulation, &report)?;
             }
+            self.probes.observe(&self.simulation, &report)?;
             self.solver_log.observe(&self.simulation, &report)?;
             self.snapshots.observe(&self.simulation, &report)?;
             let simulation = &self.simulation;
@@ -224,11 +231,13 @@ impl<'a, const D: usize> Run<'a, D> {
     /// A checkpoint, and before it the rows that belong to it.
     fn save(&mut self) -> Result<()> {
         self.history.flush()?;
+        self.probes.flush()?;
         self.solver_log.flush()?;
         self.exact.as_mut().map_or(Ok(()), ExactLog::flush)?;
         let mut writer = checkpoint::Writer::new();
         restart::save(&self.simulation, &mut writer);
         self.history.save(&mut writer);
+        self.probes.save(&mut writer);
         writer.u64("scene", &[scene_number(self.case)]);
         writer.save(&self.folder.join("checkpoint"), self.simulation.step).map(|_| ())
     }

@@ -380,6 +380,53 @@ fn gauges_in_still_water_read_the_hydrostatic_values() {
 }
 
 #[test]
+fn forces_in_still_water_are_weight_thrust_and_buoyancy() {
+    let folder = folder();
+    let probes = |names: &[&str]| {
+        let probe = |on: &&str| format!("{{kind=\"force\",name=\"{on}\",on=\"{on}\"}}");
+        format!("--set probe=[{}]", names.iter().map(probe).collect::<Vec<_>>().join(","))
+    };
+    let force =
+        |case: &str, name: &str| mean_of_last_half(&folder.path().join(case).join("forces.csv"), name);
+    let near = |found: f64, expected: f64, what: &str| {
+        assert!((found / expected - 1.0).abs() < 0.01, "{what}: {found} N, {expected} N");
+    };
+    let weight = 9810.0;
+
+    // 0.4 x 0.4 m around a submerged block of 0.1 x 0.1 m, per metre of width.
+    let blocks = "[{min=[0.0,0.0],max=[0.4,0.1]},{min=[0.0,0.1],max=[0.15,0.2]},\
+                  {min=[0.25,0.1],max=[0.4,0.2]},{min=[0.0,0.2],max=[0.4,0.4]}]";
+    let sets = format!(
+        "--set fluid.block={blocks} --set box=[{{min=[0.15,0.1],max=[0.25,0.2]}}] {}",
+        probes(&["box1", "left", "right", "bottom", "walls"])
+    );
+    done(
+        &folder,
+        &format!("still_water_2d --until 0.1 --set output.gauges=0.02 --threads 1 --out two {sets}"),
+    );
+    near(force("two", "box1_y_n"), weight * 0.01, "buoyancy");
+    near(force("two", "bottom_y_n"), -weight * 0.16, "weight of liquid and block's place");
+    near(force("two", "walls_y_n"), -weight * 0.16, "the same");
+    near(force("two", "left_x_n"), -weight * 0.5 * 0.16, "thrust");
+    near(force("two", "right_x_n"), weight * 0.5 * 0.16, "thrust");
+    assert!(force("two", "box1_x_n").abs() < 0.01 * weight * 0.01, "no thrust on the block");
+    assert_eq!(column(&folder.path().join("two/forces.csv"), "time_s").len(), 6, "rows as often as asked");
+
+    let sets = format!(
+        "--spacing 0.02 --set fluid.block=[{{min=[0.0,0.0,0.0],max=[0.2,0.2,0.06]}},{{min=[0.0,0.0,0.06],max=[0.06,0.2,0.14]}},\
+         {{min=[0.14,0.0,0.06],max=[0.2,0.2,0.14]}},{{min=[0.06,0.0,0.06],max=[0.14,0.06,0.14]}},\
+         {{min=[0.06,0.14,0.06],max=[0.14,0.2,0.14]}},{{min=[0.0,0.0,0.14],max=[0.2,0.2,0.2]}}] \
+         --set box=[{{name=\"cube\",min=[0.06,0.06,0.06],max=[0.14,0.14,0.14]}}] {}",
+        probes(&["cube", "front", "back", "bottom"])
+    );
+    done(&folder, &format!("still_water_3d --until 0.1 --threads 1 --out three {sets}"));
+    near(force("three", "cube_z_n"), weight * 0.08_f64.powi(3), "buoyancy");
+    near(force("three", "bottom_z_n"), -weight * 0.2_f64.powi(3), "weight");
+    near(force("three", "front_y_n"), -weight * 0.5 * 0.2_f64.powi(3), "thrust");
+    near(force("three", "back_y_n"), weight * 0.5 * 0.2_f64.powi(3), "thrust");
+}
+
+#[test]
 fn every_shipped_case_runs() {
     let folder = folder();
     let list = done(&folder, "cases");
@@ -405,8 +452,8 @@ fn references_are_read_before_the_run_and_compared_after_it() {
     for (options, wanted) in [
         ("--reference columns.csv", "columns.csv has no column t_n_sqrt_g_over_a_nd"),
         ("--reference words.csv", "words.csv: no row has numbers"),
-        ("--set arrival.0.quantity=\"frnt\"", "history.csv has no column frnt"),
-        ("--set reference.0.quantity=\"frnt\"", "history.csv has no column frnt"),
+        ("--set arrival.0.quantity=\"frnt\"", "arrival.0.quantity is \"frnt\", which no run"),
+        ("--set reference.0.quantity=\"frnt\"", "reference.0.quantity is \"frnt\", which no run"),
     ] {
         for task in ["", "check "] {
             let said = failed(&folder, &format!("{task}dam_break_2d --spacing 0.02 {options}"), 2);
@@ -426,5 +473,27 @@ fn references_are_read_before_the_run_and_compared_after_it() {
     let reference = &summary["references"][0];
     assert_eq!(reference["name"], "martin_moyce");
     assert!(reference["values"].as_u64().unwrap() > 3);
-    assert!(reference["rms_of_mean"].as_f64().unwrap() < 0.3, "{reference}");
+    assert!(reference["rms"].as_f64().unwrap() < 0.3, "{reference}");
+}
+
+#[test]
+fn one_file_serves_all_references_that_name_it() {
+    let measured = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../shared/reference/spheric02_kleefsman2005/pressures_heights.csv");
+    if !measured.is_file() {
+        eprintln!("skipped: no {}", measured.display());
+        return;
+    }
+    let folder = folder();
+    let case = "dam_break_3d_fixed --spacing 0.1 --until 0.05 --set output.snapshots=[]";
+    let table = done(&folder, &format!("{case} --out all --reference {}", measured.display()));
+    let all = summary(&folder.path().join("all"));
+    let windows: Vec<_> = all["references"].as_array().unwrap().iter().map(|r| r["name"].clone()).collect();
+    assert_eq!(windows.len(), 24, "twelve gauges in two windows");
+    assert!(table.contains("none of the values of a window within the run"), "{table}");
+    let expected = all["arrivals"][1]["expected_time_s"].as_f64().unwrap();
+    assert!((0.358..0.393).contains(&expected), "measured at h2 before the box is hit: {expected} s");
+
+    let table = done(&folder, &format!("{case} --out one --reference p3={}", measured.display()));
+    assert!(table.contains("not given: p1, p2, p4,"), "{table}");
 }

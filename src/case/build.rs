@@ -1,8 +1,8 @@
 //! From a proven case file to particles and scheme parameters of one dimension.
 
-use super::{BlockForm, CaseFile, FluidBlock, SchemeParams, Side};
+use super::{BlockForm, CaseFile, FluidBlock, Probe, SchemeParams, Side, axes};
 use crate::exact;
-use crate::geometry::{Aabb, BlockShape, Lattice, Shapes, TankShape};
+use crate::geometry::{Aabb, BlockShape, Lattice, Shapes, SolidSide, TankShape};
 use crate::halo::PeriodicBox;
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Params, isph};
@@ -17,7 +17,9 @@ pub struct Scene<const D: usize> {
     pub params: Params<D>,
     /// Inner walls of the tank, if there is one.
     pub tank: Option<TankShape<D>>,
-    /// One sentence for each length that did not fit the lattice.
+    /// The lattice they lie on.
+    pub lattice: Lattice<D>,
+    /// One sentence for each length that did not fit the lattice, and for each gauge that moved along.
     pub snapped: Vec<String>,
 }
 
@@ -38,7 +40,29 @@ pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
     };
     let mut particles = lattice.particles(layers(D, params.support() / case.spacing), velocity);
     jitter(&mut particles, case.scheme.jitter * case.spacing, case.seed);
-    Scene { particles, params, tank, snapped: lattice.snapped }
+    let moved = case.probes.iter().flat_map(|probe| moved_gauge(case, &lattice, probe));
+    let snapped = lattice.snapped.iter().cloned().chain(moved).collect();
+    Scene { particles, params, tank, lattice, snapped }
+}
+
+/// Sentences on how a gauge follows the face it is on.
+fn moved_gauge<const D: usize>(case: &CaseFile, lattice: &Lattice<D>, probe: &Probe) -> Vec<String> {
+    let Some(at) = probe.position().map(vector) else { return vec![] };
+    let (to, Some(side)) = lattice.follow(&at) else { return vec![] };
+    let solid = side.solid.map_or("the tank", |k| &case.boxes[k].name);
+    let [name, side] = [probe.name(), side_name::<D>(side)];
+    let axes = axes(D).enumerate().filter(|&(d, _)| (to[d] - at[d]).abs() > 1e-6 * case.spacing);
+    axes.map(|(d, axis)| {
+        format!("gauge {name} {axis} = {} m follows the {side} side of {solid} to {:.6} m", at[d], to[d])
+    })
+    .collect()
+}
+
+fn side_name<const D: usize>(side: SolidSide) -> &'static str {
+    let sides = [Side::Left, Side::Right, Side::Bottom, Side::Top, Side::Front, Side::Back];
+    let is_it = |name: &Side| D > 2 || !matches!(name, Side::Front | Side::Back);
+    let found = sides.into_iter().filter(is_it).find(|name| side_of::<D>(*name) == (side.axis, side.end));
+    found.map_or("", Side::name)
 }
 
 fn params<const D: usize>(case: &CaseFile, tank: Option<&TankShape<D>>) -> Params<D> {
@@ -104,7 +128,7 @@ fn shapes<const D: usize>(case: &CaseFile) -> Shapes<D> {
 }
 
 /// Axis of a side, and 0 for its lower or 1 for its upper end.
-fn side_of<const D: usize>(side: Side) -> (usize, usize) {
+pub fn side_of<const D: usize>(side: Side) -> (usize, usize) {
     match side {
         Side::Left => (0, 0),
         Side::Right => (0, 1),

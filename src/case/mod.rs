@@ -154,6 +154,8 @@ pub struct Tank {
 /// A solid box fixed in space.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SolidBox {
+    /// What force probes call it; box1, box2, ... where the file gives none.
+    pub name: String,
     /// Lower corner in m.
     pub min: Vec<f64>,
     /// Upper corner in m.
@@ -190,6 +192,13 @@ pub enum Axis {
     Y,
     /// Up, 3D only.
     Z,
+}
+
+impl Side {
+    /// As case files write it.
+    pub fn name(self) -> &'static str {
+        ["left", "right", "front", "back", "bottom", "top"][self as usize]
+    }
 }
 
 /// Tangential condition at walls.
@@ -308,8 +317,10 @@ pub struct OutputParams {
     pub particles: f64,
     /// Extra instants of particle files in s.
     pub snapshots: Vec<f64>,
-    /// Interval of the history and gauge rows in s; 0 writes every step.
+    /// Interval of the history rows in s; 0 writes every step.
     pub samples: f64,
+    /// Interval of the rows of gauges and forces in s; 0 writes every step.
+    pub gauges: f64,
     /// Interval of checkpoints in s of flow; 0 keeps only the one at the end or on failure.
     pub checkpoint: f64,
 }
@@ -321,6 +332,7 @@ impl OutputParams {
             particles: until / 80.0,
             snapshots: Vec::new(),
             samples: until / 2000.0,
+            gauges: (until / 2000.0).min(1e-3),
             checkpoint: until / 8.0,
         }
     }
@@ -336,6 +348,9 @@ pub enum Probe {
         name: String,
         /// Position in m.
         position: Vec<f64>,
+        /// Window in s of a running mean over the past; absent: every reading as it is.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        filter: Option<f64>,
     },
     /// Water height on a vertical line, in m above its lowest point.
     Height {
@@ -344,16 +359,59 @@ pub enum Probe {
         /// Foot of the line in m.
         position: Vec<f64>,
     },
+    /// Force of the liquid on a solid, in N (in 2D for 1 m of width).
+    Force {
+        /// Column name, before the axis.
+        name: String,
+        /// Name of a box or of a side of the tank, or [`Probe::ALL_WALLS`].
+        on: String,
+    },
 }
 
-/// A measured or exact series that a history quantity is compared with.
+impl Probe {
+    /// What a force probe on the whole tank is `on`.
+    pub const ALL_WALLS: &str = "walls";
+
+    /// Name of its columns.
+    pub fn name(&self) -> &str {
+        let (Self::Pressure { name, .. } | Self::Height { name, .. } | Self::Force { name, .. }) = self;
+        name
+    }
+
+    /// Where it is in m, if it is at a place.
+    pub fn position(&self) -> Option<&[f64]> {
+        match self {
+            Self::Pressure { position, .. } | Self::Height { position, .. } => Some(position),
+            Self::Force { .. } => None,
+        }
+    }
+
+    /// Its columns with their units.
+    pub fn columns(&self, dimension: usize) -> Vec<String> {
+        match self {
+            Self::Pressure { name, .. } => vec![format!("{name}_pa")],
+            Self::Height { name, .. } => vec![format!("{name}_m")],
+            Self::Force { name, .. } => axes(dimension).map(|axis| format!("{name}_{axis}_n")).collect(),
+        }
+    }
+}
+
+/// Names of the axes in 2 or 3 dimensions.
+pub fn axes(dimension: usize) -> impl Iterator<Item = &'static str> {
+    ["x", "y", "z"].into_iter().take(dimension)
+}
+
+/// A measured or exact series that a column of history.csv, probes.csv or forces.csv is compared with.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reference {
-    /// Name in the end table; `--reference NAME=FILE` or, for the only one, `--reference FILE` gives its data.
+    /// Name in the end table; `--reference NAME=FILE` gives its data.
     pub name: String,
     /// Citation of the source.
     pub source: String,
-    /// Column of history.csv that is compared.
+    /// Usual name of its data file: `--reference FILE` serves all references if they name the same one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// Column of the run that is compared, with or without its unit. A dry gauge counts as 0.
     pub quantity: String,
     /// Column of the reference file that holds times.
     pub time_column: String,
@@ -366,17 +424,52 @@ pub struct Reference {
     /// Only reference values of at least this (in the file's unit) are compared.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value_min: Option<f64>,
+    /// What differences are divided by.
+    pub normalise: Normalise,
+    /// Spans of time `[from, until]` in s, each compared by itself; none: all the data.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub windows: Vec<Vec<f64>>,
+    /// Step in s of the uniform times at which both are compared, linearly interpolated; absent: the data's own times.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grid: Option<f64>,
+    /// The best constant time shift is sought up to this, in s; absent: a tenth of the last time compared.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shift_max: Option<f64>,
+    /// Window in s of the running mean whose largest value is the peak; absent: no peak is looked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mean: Option<f64>,
+    /// Window in s of the running mean around which the rest is noise; absent: noise is not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub noise: Option<f64>,
 }
 
-/// An event whose time is known: a history quantity first reaches a level.
+/// What the differences from a reference are divided by.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Normalise {
+    /// Mean size of the reference values compared.
+    #[default]
+    Mean,
+    /// Largest size of all reference values.
+    Max,
+    /// A size in the quantity's SI unit.
+    #[serde(untagged)]
+    By(f64),
+}
+
+/// An event whose time is known: a quantity first reaches a level.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Arrival {
-    /// Column of history.csv that is watched.
+    /// Column of history.csv, probes.csv or forces.csv that is watched.
     pub quantity: String,
     /// Value to be reached, in the column's SI unit.
     pub level: f64,
     /// When the source says so, in s.
-    pub expected_time: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expected_time: Option<f64>,
+    /// The reference whose data tell when, by the same level.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reference: Option<String>,
     /// Citation of the source.
     pub source: String,
 }

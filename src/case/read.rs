@@ -10,9 +10,10 @@ use clap::ValueEnum;
 use toml_edit::{Document, Item, TableLike, Value};
 
 use super::{
-    Arrival, BlockForm, CaseFile, ExactSolution, Fluid, FluidBlock, OutputParams, Probe, Reference,
-    SchemeKind, SchemeParams, Side, Slip, SolidBox, Tank, TimeParams,
+    Arrival, BlockForm, CaseFile, ExactSolution, Fluid, FluidBlock, Normalise, OutputParams, Probe,
+    Reference, SchemeKind, SchemeParams, Side, Slip, SolidBox, Tank, TimeParams,
 };
+use crate::output::{quantities, table};
 use crate::{Error, Result};
 
 /// More particles than this are taken for a mistake in the spacing.
@@ -369,6 +370,12 @@ impl<'a> Reader<'a> {
         self.field(key, wanted, String::new(), |item| item.as_str().filter(fits).map(str::to_owned))
     }
 
+    /// A name for an entry of a list by its place there, from 1.
+    fn numbered(&self, what: &str) -> String {
+        let place = self.path.split('.').filter_map(|part| part.parse::<usize>().ok()).next_back();
+        format!("{what}{}", place.map_or(0, |place| place + 1))
+    }
+
     fn variant<T: ValueEnum>(&self, key: &'static str) -> Field<'_, T> {
         self.field(key, variants::<T>(), T::value_variants()[0].clone(), variant)
     }
@@ -459,6 +466,7 @@ fn read_case(r: &Reader) -> CaseFile {
         fluid: r.section("fluid", read_fluid),
         tank: r.optional_section("tank", read_tank),
         boxes: r.sections("box", |r| SolidBox {
+            name: r.name("name").or(r.numbered("box")),
             min: r.vector("min", "m").required(),
             max: r.vector("max", "m").required(),
         }),
@@ -471,7 +479,8 @@ fn read_case(r: &Reader) -> CaseFile {
         arrivals: r.sections("arrival", |r| Arrival {
             quantity: r.name("quantity").required(),
             level: r.number("level", Range::Any, "the quantity's SI unit").required(),
-            expected_time: r.number("expected_time", Range::Positive, "s").required(),
+            expected_time: r.number("expected_time", Range::Positive, "s").optional(),
+            reference: r.name("reference").optional(),
             source: r.text("source", "a citation").required(),
         }),
     }
@@ -542,19 +551,27 @@ fn read_output(r: &Reader, until: f64) -> OutputParams {
         particles: r.number("particles", Range::NotNegative, "s").or(default.particles),
         snapshots: r.numbers("snapshots", Range::NotNegative, "s").or(default.snapshots),
         samples: r.number("samples", Range::NotNegative, "s").or(default.samples),
+        gauges: r.number("gauges", Range::NotNegative, "s").or(default.gauges),
         checkpoint: r.number("checkpoint", Range::NotNegative, "s").or(default.checkpoint),
     }
 }
 
 fn read_probe(r: &Reader) -> Probe {
-    const KINDS: [&str; 2] = ["pressure", "height"];
-    let kind = r.field("kind", format!("one of {:?}, {:?}", KINDS[0], KINDS[1]), KINDS[0], |item| {
-        KINDS.into_iter().find(|&kind| item.as_str() == Some(kind))
-    });
+    const KINDS: [&str; 3] = ["pressure", "height", "force"];
+    let kind =
+        r.field("kind", format!("one of {:?}, {:?}, {:?}", KINDS[0], KINDS[1], KINDS[2]), "", |item| {
+            KINDS.into_iter().find(|&kind| item.as_str() == Some(kind))
+        });
     let kind = kind.required();
     let name = r.name("name").required();
+    if kind == "force" {
+        return Probe::Force { name, on: r.name("on").required() };
+    }
     let position = r.vector("position", "m").required();
-    if kind == KINDS[0] { Probe::Pressure { name, position } } else { Probe::Height { name, position } }
+    if kind == "height" {
+        return Probe::Height { name, position };
+    }
+    Probe::Pressure { name, position, filter: r.number("filter", Range::Positive, "s").optional() }
 }
 
 fn read_exact(r: &Reader) -> ExactSolution {
@@ -577,15 +594,35 @@ fn read_exact(r: &Reader) -> ExactSolution {
 }
 
 fn read_reference(r: &Reader) -> Reference {
+    let windows = r.field("windows", "a list of windows [from, until] in s".to_owned(), vec![], |item| {
+        let windows = items(item)?.iter().map(floats).collect::<Option<Vec<_>>>()?;
+        let is_window = |w: &Vec<f64>| matches!(w[..], [from, until] if 0.0 <= from && from < until);
+        windows.iter().all(is_window).then_some(windows)
+    });
+    let normalise = "\"mean\", \"max\" or a number > 0 in SI units".to_owned();
     Reference {
         name: r.name("name").required(),
         source: r.text("source", "a citation").required(),
+        file: r.text("file", "the name of a data file").optional(),
         quantity: r.name("quantity").required(),
         time_column: r.text("time_column", "the title of a column").required(),
         time_unit: r.number("time_unit", Range::Positive, "s").or(1.0),
         value_column: r.text("value_column", "the title of a column").required(),
         value_unit: r.number("value_unit", Range::Positive, "SI units").or(1.0),
         value_min: r.number("value_min", Range::Any, "the file's unit").optional(),
+        normalise: r
+            .field("normalise", normalise, Normalise::Mean, |item| match (item.as_str(), float(item)) {
+                (Some("mean"), _) => Some(Normalise::Mean),
+                (Some("max"), _) => Some(Normalise::Max),
+                (_, Some(size)) if Range::Positive.contains(size) => Some(Normalise::By(size)),
+                _ => None,
+            })
+            .or(Normalise::Mean),
+        windows: windows.or(vec![]),
+        grid: r.number("grid", Range::Positive, "s").optional(),
+        shift_max: r.number("shift_max", Range::NotNegative, "s").optional(),
+        mean: r.number("mean", Range::Positive, "s").optional(),
+        noise: r.number("noise", Range::Positive, "s").optional(),
     }
 }
 
@@ -645,6 +682,8 @@ fn prove(case: &CaseFile, problems: &mut Vec<Problem>) {
     proof.periodic_axes(problems);
     proof.probes(problems);
     proof.names(problems);
+    proof.forces(problems);
+    proof.comparisons(problems);
     proof.times(problems);
     proof.liquid(problems);
 }
@@ -728,9 +767,8 @@ impl Proof<'_> {
     fn open_sides(&self, problems: &mut Vec<Problem>) {
         let open = self.case.tank.iter().flat_map(|tank| &tank.open);
         for side in open.filter(|side| self.case.dimension == 2 && matches!(side, Side::Front | Side::Back)) {
-            let name = side.to_possible_value();
-            let name = name.as_ref().map_or("a side", |value| value.get_name());
-            let complaint = format!("names {name}, which only 3D has: use left, right, bottom or top");
+            let complaint =
+                format!("names {}, which only 3D has: use left, right, bottom or top", side.name());
             problems.push(Problem::new("tank.open", &complaint));
         }
     }
@@ -756,7 +794,7 @@ impl Proof<'_> {
 
     fn probes(&self, problems: &mut Vec<Problem>) {
         for (index, probe) in self.case.probes.iter().enumerate() {
-            let (Probe::Pressure { position, .. } | Probe::Height { position, .. }) = probe;
+            let Some(position) = probe.position() else { continue };
             let point = Cuboid::new(format!("probe.{index}.position"), position, position);
             let beyond = |tank: &Cuboid| {
                 point
@@ -777,15 +815,87 @@ impl Proof<'_> {
     }
 
     fn names(&self, problems: &mut Vec<Problem>) {
-        let probes = self.case.probes.iter();
-        let probes = probes.map(|(Probe::Pressure { name, .. } | Probe::Height { name, .. })| name);
-        let references = self.case.references.iter().map(|reference| &reference.name);
-        let indices = [("probe", repeated(probes)), ("reference", repeated(references))];
+        let probes = self.case.probes.iter().map(Probe::name);
+        let references = self.case.references.iter().map(|reference| reference.name.as_str());
+        let boxes = self.case.boxes.iter().map(|solid| solid.name.as_str());
+        let indices =
+            [("box", repeated(boxes)), ("probe", repeated(probes)), ("reference", repeated(references))];
         for (kind, index) in
             indices.iter().flat_map(|(kind, list)| list.iter().map(move |index| (kind, index)))
         {
             let complaint = format!("is taken by an earlier {kind}: give another name");
             problems.push(Problem::new(format!("{kind}.{index}.name"), &complaint));
+        }
+    }
+
+    /// Names of solids that force probes may be on.
+    fn solids(&self) -> Vec<&str> {
+        let sides = Side::value_variants().iter().filter(|side| {
+            let exists = self.case.dimension > 2 || !matches!(side, Side::Front | Side::Back);
+            exists && self.case.tank.as_ref().is_some_and(|tank| !tank.open.contains(side))
+        });
+        let walls = self.case.tank.as_ref().map(|_| Probe::ALL_WALLS);
+        let boxes = self.case.boxes.iter().map(|solid| solid.name.as_str());
+        boxes.chain(sides.map(|side| side.name())).chain(walls).collect()
+    }
+
+    fn forces(&self, problems: &mut Vec<Problem>) {
+        let solids = self.solids();
+        let reserved = |name: &str| name == Probe::ALL_WALLS || Side::from_str(name, false).is_ok();
+        for (index, solid) in self.case.boxes.iter().enumerate().filter(|(_, solid)| reserved(&solid.name)) {
+            let complaint = format!("is {:?}, which names walls of the tank: give another name", solid.name);
+            problems.push(Problem::new(format!("box.{index}.name"), &complaint));
+        }
+        for (index, probe) in self.case.probes.iter().enumerate() {
+            let Probe::Force { on, .. } = probe else { continue };
+            if !on.is_empty() && !solids.contains(&on.as_str()) {
+                let advice = match solids.is_empty() {
+                    true => "there is no box and no tank, leave the probe out".to_owned(),
+                    false => format!("give one of {}", solids.join(", ")),
+                };
+                let complaint = format!("is {on:?}, which is no solid of this case: {advice}");
+                problems.push(Problem::new(format!("probe.{index}.on"), &complaint));
+            }
+        }
+    }
+
+    /// Whether a run records what references and arrivals ask for, and whether those fit together.
+    fn comparisons(&self, problems: &mut Vec<Problem>) {
+        let CaseFile { references, arrivals, probes, dimension, .. } = self.case;
+        let history = quantities::history::<2>().map(|(name, _)| name.to_owned());
+        let columns: Vec<String> =
+            history.into_iter().chain(probes.iter().flat_map(|probe| probe.columns(*dimension))).collect();
+        let asked = references.iter().map(|reference| &reference.quantity).enumerate();
+        let watched = arrivals.iter().map(|arrival| &arrival.quantity).enumerate();
+        let all = asked.map(|(i, q)| ("reference", i, q)).chain(watched.map(|(i, q)| ("arrival", i, q)));
+        for (kind, index, quantity) in all {
+            let names = || columns.iter().map(String::as_str);
+            if !quantity.is_empty() && table::column_of(quantity, names()).is_none() {
+                let known = names().collect::<Vec<_>>().join(", ");
+                let complaint =
+                    format!("is {quantity:?}, which no run of this case records: use one of {known}");
+                problems.push(Problem::new(format!("{kind}.{index}.quantity"), &complaint));
+            }
+        }
+        for (index, reference) in references.iter().enumerate() {
+            if reference.grid.is_none() && (reference.mean.is_some() || reference.noise.is_some()) {
+                let complaint = "is missing, and mean and noise need it: give a step in s like 0.001";
+                problems.push(Problem::new(format!("reference.{index}.grid"), complaint));
+            }
+        }
+        for (index, arrival) in arrivals.iter().enumerate() {
+            let path = |key: &str| format!("arrival.{index}.{key}");
+            match (&arrival.reference, arrival.expected_time) {
+                (None, None) => {
+                    let complaint = "is missing: give it in s, or name a reference whose data tell it";
+                    problems.push(Problem::new(path("expected_time"), complaint));
+                }
+                (Some(name), _) if !references.iter().any(|reference| reference.name == *name) => {
+                    let complaint = format!("is {name:?}: give the name of a reference of this case");
+                    problems.push(Problem::new(path("reference"), &complaint));
+                }
+                _ => {}
+            }
         }
     }
 
@@ -809,7 +919,7 @@ impl Proof<'_> {
 }
 
 /// Indices of names that an earlier entry has; empty names stand in for bad ones and do not count.
-fn repeated<'a>(names: impl Iterator<Item = &'a String>) -> Vec<usize> {
+fn repeated<'a>(names: impl Iterator<Item = &'a str>) -> Vec<usize> {
     let names: Vec<_> = names.collect();
     (0..names.len())
         .filter(|&index| !names[index].is_empty() && names[..index].contains(&names[index]))
@@ -875,15 +985,46 @@ until = 1
         case.description = "quotes \" and umlauts \u{fc}".to_owned();
         case.tank.as_mut().unwrap().open = vec![Side::Left, Side::Right, Side::Bottom, Side::Top];
         case.tank.as_mut().unwrap().slip = Slip::None;
-        case.boxes = vec![SolidBox { min: vec![1.5, 0.0], max: vec![1.7, 1.0 / 3.0] }];
+        case.boxes =
+            vec![SolidBox { name: "pier".to_owned(), min: vec![1.5, 0.0], max: vec![1.7, 1.0 / 3.0] }];
         case.fluid.blocks[0].velocity = vec![1e22, -0.1];
         case.time.step = Some(1.0 / 3.0);
         case.time.step_max = Some(f64::MIN_POSITIVE);
         case.output.snapshots = vec![0.1 + 0.2, 0.0];
         case.probes = vec![
-            Probe::Pressure { name: "p1".to_owned(), position: vec![0.0, 0.1] },
+            Probe::Pressure { name: "p1".to_owned(), position: vec![0.0, 0.1], filter: Some(0.01) },
+            Probe::Force { name: "f".to_owned(), on: "pier".to_owned() },
             Probe::Height { name: "h1".to_owned(), position: vec![1.0, 0.0] },
         ];
+        let reference = |name: &str, normalise| Reference {
+            name: name.to_owned(),
+            source: "s".to_owned(),
+            file: Some("data.csv".to_owned()),
+            quantity: "p1".to_owned(),
+            time_column: "t".to_owned(),
+            time_unit: 2.0,
+            value_column: "p".to_owned(),
+            value_unit: 3.0,
+            value_min: Some(-1.0),
+            normalise,
+            windows: vec![vec![0.35, 2.0], vec![0.0, 5.0]],
+            grid: Some(0.001),
+            shift_max: Some(0.03),
+            mean: Some(0.01),
+            noise: Some(0.02),
+        };
+        case.references = vec![
+            reference("a", Normalise::Max),
+            reference("b", Normalise::By(0.55)),
+            reference("c", Normalise::Mean),
+        ];
+        case.arrivals = vec![Arrival {
+            quantity: "f_y".to_owned(),
+            level: 1.0,
+            expected_time: None,
+            reference: Some("b".to_owned()),
+            source: "s".to_owned(),
+        }];
         for kernel in KernelKind::value_variants() {
             for laplacian in LaplacianKind::value_variants() {
                 for kind in SchemeKind::value_variants() {
@@ -1033,6 +1174,33 @@ kernel = \"wendland\"
             (
                 &[("probe", "[{kind = 'height', name = 'h', position = [3, 0]}]")],
                 "probe.0.position [3.0, 0.0] is outside the tank",
+            ),
+            (
+                &[("probe", "[{kind = 'force', name = 'f', on = 'top'}]"), ("tank.open", "['top']")],
+                "probe.0.on is \"top\", which is no solid of this case: give one of left, right, bottom, walls",
+            ),
+            (
+                &[("probe", "[{kind = 'pressure', name = 'p', position = [0, 0], filter = -1}]")],
+                "probe.0.filter is -1: give a finite number > 0 in s",
+            ),
+            (
+                &[("box", "[{name = 'left', min = [1.5, 0], max = [1.7, 0.2]}]")],
+                "box.0.name is \"left\", which names walls of the tank",
+            ),
+            (
+                &[("arrival", "[{quantity = 'front', level = 1, source = 's'}]")],
+                "arrival.0.expected_time is missing: give it in s, or name a reference",
+            ),
+            (
+                &[("arrival", "[{quantity = 'frnt', level = 1, source = 's', expected_time = 1}]")],
+                "arrival.0.quantity is \"frnt\", which no run of this case records: use one of front_m,",
+            ),
+            (
+                &[(
+                    "reference",
+                    "[{name = 'r', source = 's', quantity = 'front', time_column = 't', value_column = 'x', windows = [[2, 1]]}]",
+                )],
+                "reference.0.windows is [[2, 1]]: give a list of windows [from, until] in s",
             ),
             (&[("output.snapshots", "[0.5, 2]")], "names 2.0 s, after the end at 1.0 s"),
             (&[("scheme.smoothing_ratio", "0.9")], "give a number from 1 to 2 in spacings"),

@@ -4,12 +4,14 @@ use std::path::{Path, PathBuf};
 
 use super::checkpoint;
 use super::folder::RunFolder;
+use super::forces::Forces;
 use super::probes::Gauges;
 use super::quantities::{self, Scene};
 use super::table::{Cell, Table};
 use super::vtk::{Field, FieldData, Pvd, write_vtp};
 use crate::Result;
-use crate::case::CaseFile;
+use crate::case::build::Scene as Start;
+use crate::case::{CaseFile, Probe};
 use crate::particles::Vector;
 use crate::scheme::Params;
 use crate::scheme::StepReport;
@@ -46,11 +48,18 @@ impl Schedule {
     }
 }
 
-/// history.csv and probes.csv, and the energy watch.
+/// A table that starts with the time, opened for a new run or for one resumed at time `since`.
+fn open(folder: &RunFolder, name: &str, columns: Vec<String>, since: Option<f64>) -> Result<Table> {
+    let columns = [vec!["time_s".to_owned()], columns].concat();
+    match since {
+        None => Table::create(&folder.join(name), &columns),
+        Some(time) => Table::resume(&folder.join(name), &columns, time),
+    }
+}
+
+/// history.csv, and the energy watch.
 pub struct History<const D: usize> {
     table: Table,
-    probes: Option<Table>,
-    gauges: Gauges<D>,
     every_step: bool,
     schedule: Schedule,
     params: Params<D>,
@@ -71,20 +80,9 @@ pub struct Energy {
 impl<const D: usize> History<D> {
     /// Opens the tables of a run, or those of a run resumed at time `since`.
     pub fn new(folder: &RunFolder, case: &CaseFile, params: &Params<D>, since: Option<f64>) -> Result<Self> {
-        let open = |name: &str, columns: &[String]| match since {
-            None => Table::create(&folder.join(name), columns),
-            Some(time) => Table::resume(&folder.join(name), columns, time),
-        };
-        let with_time = |names: Vec<String>| [vec!["time_s".to_owned()], names].concat();
-        let columns = with_time(quantities::history::<D>().iter().map(|(name, _)| (*name).into()).collect());
-        let probes = match case.probes.is_empty() {
-            true => None,
-            false => Some(open("probes.csv", &with_time(Gauges::<D>::columns(&case.probes)))?),
-        };
+        let columns = quantities::history::<D>().map(|(name, _)| name.to_owned());
         Ok(Self {
-            table: open("history.csv", &columns)?,
-            probes,
-            gauges: Gauges::new(&case.probes, params),
+            table: open(folder, "history.csv", columns.to_vec(), since)?,
             every_step: case.output.samples == 0.0,
             schedule: Schedule::new(case.output.samples, vec![], since.unwrap_or(0.0)),
             params: params.clone(),
@@ -117,12 +115,7 @@ impl<const D: usize> History<D> {
         let scene = self.scene(simulation);
         let time = Cell::Number(simulation.time);
         let values = quantities::history::<D>().map(|(_, value)| Cell::Number(value(&scene)));
-        self.table.row(&[&[time], &values[..]].concat())?;
-        if let Some(probes) = &mut self.probes {
-            let values = self.gauges.read(simulation);
-            probes.row(&[&[Cell::Number(simulation.time)], &values[..]].concat())?;
-        }
-        Ok(())
+        self.table.row(&[&[time], &values[..]].concat())
     }
 
     /// Energies of the run so far.
@@ -146,14 +139,87 @@ impl<const D: usize> History<D> {
 
     /// Writes out what is pending.
     pub fn flush(&mut self) -> Result<()> {
-        self.table.flush()?;
-        self.probes.as_mut().map_or(Ok(()), Table::flush)
+        self.table.flush()
     }
 }
 
 impl<const D: usize> Observer<D> for History<D> {
     fn observe(&mut self, simulation: &Simulation<D>, _: &StepReport) -> Result<()> {
         self.watch_energy(simulation);
+        match self.every_step || self.schedule.due(simulation.time) {
+            true => self.sample(simulation),
+            false => Ok(()),
+        }
+    }
+}
+
+/// probes.csv and forces.csv, each where the case has such probes.
+pub struct Probes<const D: usize> {
+    gauges: Option<(Table, Gauges<D>)>,
+    forces: Option<(Table, Forces<D>)>,
+    every_step: bool,
+    schedule: Schedule,
+}
+
+impl<const D: usize> Probes<D> {
+    /// Opens the tables of a run that begins as `start`, or those of a run resumed at time `since`.
+    pub fn new(folder: &RunFolder, case: &CaseFile, start: &Start<D>, since: Option<f64>) -> Result<Self> {
+        let Start { lattice, particles, params, .. } = start;
+        let columns_of = |forces: bool| -> Vec<String> {
+            let kind = case.probes.iter().filter(|probe| matches!(probe, Probe::Force { .. }) == forces);
+            kind.flat_map(|probe| probe.columns(D)).collect()
+        };
+        let (mut gauges, mut forces) = (None, None);
+        let columns = columns_of(false);
+        if !columns.is_empty() {
+            let all = Gauges::new(&case.probes, lattice, particles, params);
+            gauges = Some((open(folder, "probes.csv", columns, since)?, all));
+        }
+        let columns = columns_of(true);
+        if !columns.is_empty() {
+            forces = Some((open(folder, "forces.csv", columns, since)?, Forces::new(case, lattice, params)));
+        }
+        let schedule = Schedule::new(case.output.gauges, vec![], since.unwrap_or(0.0));
+        Ok(Self { gauges, forces, every_step: case.output.gauges == 0.0, schedule })
+    }
+
+    /// Rows of the present state.
+    pub fn sample(&mut self, simulation: &Simulation<D>) -> Result<()> {
+        let (particles, fields) = (&simulation.particles, simulation.scheme.fields());
+        let time = simulation.time;
+        if let Some((table, gauges)) = &mut self.gauges {
+            table.row(&[vec![Cell::Number(time)], gauges.read(particles, &fields, time)].concat())?;
+        }
+        if let Some((table, forces)) = &mut self.forces {
+            let forces = forces.read(particles, &fields);
+            let components = forces.iter().flat_map(|force| force.iter().copied());
+            table.row(&std::iter::once(time).chain(components).map(Cell::Number).collect::<Vec<_>>())?;
+        }
+        Ok(())
+    }
+
+    /// What filters remember.
+    pub fn save(&self, writer: &mut checkpoint::Writer) {
+        if let Some((_, gauges)) = &self.gauges {
+            gauges.save(writer);
+        }
+    }
+
+    /// Goes on from a saved state.
+    pub fn restore(&mut self, reader: &checkpoint::Reader) -> Result<()> {
+        self.gauges.as_mut().map_or(Ok(()), |(_, gauges)| gauges.restore(reader))
+    }
+
+    /// Writes out what is pending.
+    pub fn flush(&mut self) -> Result<()> {
+        let gauges = self.gauges.as_mut().map(|(table, _)| table);
+        let forces = self.forces.as_mut().map(|(table, _)| table);
+        gauges.into_iter().chain(forces).try_for_each(Table::flush)
+    }
+}
+
+impl<const D: usize> Observer<D> for Probes<D> {
+    fn observe(&mut self, simulation: &Simulation<D>, _: &StepReport) -> Result<()> {
         match self.every_step || self.schedule.due(simulation.time) {
             true => self.sample(simulation),
             false => Ok(()),

@@ -1,19 +1,33 @@
 //! Gauges: pressure at a point, water height on a vertical line.
 //!
+//! **Place.** A gauge within half a spacing of a side of a box or a tank wall lies on that side and goes with it to the
+//! lattice; any other stays where the case puts it.
+//!
 //! **Pressure** at r is the kernel mean over liquid and wet walls, each neighbour's pressure carried to r
 //! hydrostatically: p(r) = sum_b W_b (p_b + rho g . (r - r_b)) / sum_b W_b. In still water this is exact wherever r lies,
-//! on a wall's face too. A gauge whose liquid neighbours fill less than a quarter of what a wall leaves open is *dry*.
+//! on a wall's face too. Only what r sees counts: liquid with no solid box in between, and wall particles one of whose
+//! faces it sees, so that a thin box does not mix the pressures of its two sides. (A plate one particle thick is open on
+//! two opposite sides and carries one pressure for both: its own particles do not count.) Where walls carry no pressure
+//! the liquid alone counts. A gauge whose liquid neighbours fill less than a quarter of what a flat wall leaves
+//! open is *dry*.
 //!
-//! **Height** is where, going up from the foot of the line, the kernel sum of liquid and solids first falls below one
-//! half: at a flat surface that is half a spacing above the top row, where the surface is. Splashes above a gap do not
-//! count.
+//! A **filter**, if asked for, is the mean of the rows within the last `filter` seconds: causal, so a signal comes out
+//! half the window late. Dry rows count as 0 in it; a gauge that is dry now says so all the same.
+//!
+//! **Height** is where, going up from the foot of the line, liquid first fills less than half of the kernel. What lies
+//! below the foot counts as filled (the floor), other solids as if not there (a box or wall beside the line): so at
+//! a flat surface, beside a box as well, the height is half a spacing above the top row, where the surface is, and a
+//! single layer on the floor is one spacing high. Splashes above a gap do not count.
 
+use super::checkpoint;
 use super::table::Cell;
 use crate::case::{Probe, build::vector};
+use crate::geometry::{Lattice, Obstacles, WallCell};
 use crate::kernel::{CubicSpline, Kernel, KernelKind, Quintic, Smoothing, WendlandC2};
-use crate::particles::Vector;
-use crate::scheme::Params;
-use crate::simulation::Simulation;
+use crate::particles::{Particles, Vector};
+use crate::scheme::{Fields, Params};
+use crate::{Error, Result};
+use std::collections::VecDeque;
 
 /// What a gauge says where there is no water.
 pub const DRY: &str = "dry";
@@ -24,13 +38,28 @@ const WET: f64 = 0.125;
 /// All gauges of a scene.
 pub struct Gauges<const D: usize> {
     gauges: Vec<Gauge<D>>,
+    bins: Bins,
+    obstacles: Obstacles<D>,
     kernel: fn(f64, f64) -> f64,
     params: Params<D>,
 }
 
-enum Gauge<const D: usize> {
-    Pressure(Vector<D>),
-    Height(Vector<D>),
+struct Gauge<const D: usize> {
+    at: Vector<D>,
+    kind: Kind<D>,
+}
+
+/// Solids stay where they are: what a gauge needs of them is found once.
+enum Kind<const D: usize> {
+    Pressure {
+        /// Wall particles in sight, with their kernel values.
+        walls: Vec<(u32, f64)>,
+        filter: Option<Filter>,
+    },
+    Height {
+        /// Positions of the solid particles around the line.
+        solids: Vec<Vector<D>>,
+    },
 }
 
 fn kernel_value<const D: usize, K: Kernel>(r: f64, h: f64) -> f64 {
@@ -38,93 +67,422 @@ fn kernel_value<const D: usize, K: Kernel>(r: f64, h: f64) -> f64 {
 }
 
 impl<const D: usize> Gauges<D> {
-    /// Gauges of the case, for a scheme with these parameters.
-    pub fn new(probes: &[Probe], params: &Params<D>) -> Self {
-        let gauges = probes.iter().map(|probe| match probe {
-            Probe::Pressure { position, .. } => Gauge::Pressure(vector(position)),
-            Probe::Height { position, .. } => Gauge::Height(vector(position)),
-        });
+    /// Gauges among `probes`, in the scene of `particles` on `lattice`, for a scheme with these parameters.
+    pub fn new(probes: &[Probe], lattice: &Lattice<D>, particles: &Particles<D>, params: &Params<D>) -> Self {
         let kernel = match params.kernel {
             KernelKind::WendlandC2 => kernel_value::<D, WendlandC2>,
             KernelKind::CubicSpline => kernel_value::<D, CubicSpline>,
             KernelKind::Quintic => kernel_value::<D, Quintic>,
         };
-        Self { gauges: gauges.collect(), kernel, params: params.clone() }
+        let support = params.support();
+        let mut all = Self {
+            gauges: vec![],
+            bins: Bins::default(),
+            obstacles: lattice.obstacles(),
+            kernel,
+            params: params.clone(),
+        };
+        let cells = lattice.wall_cells();
+        for probe in probes {
+            let Some((at, _)) = probe.position().map(|position| lattice.follow(&vector(position))) else {
+                continue;
+            };
+            let kind = match probe {
+                Probe::Pressure { filter, .. } => Kind::Pressure {
+                    walls: all.walls_in_sight(&at, particles, &cells),
+                    filter: filter.map(Filter::new),
+                },
+                _ => {
+                    let near = |r: &&Vector<D>| horizontal_square(&at, r) < support * support;
+                    Kind::Height {
+                        solids: particles.position[..particles.solids()]
+                            .iter()
+                            .filter(near)
+                            .copied()
+                            .collect(),
+                    }
+                }
+            };
+            all.gauges.push(Gauge { at, kind });
+        }
+        all.bins = Bins::new(all.gauges.iter().map(|gauge| gauge.at[0]), support);
+        all
     }
 
-    /// Column names with units, in the order of [`read`](Self::read).
-    pub fn columns(probes: &[Probe]) -> Vec<String> {
-        let column = |probe: &Probe| match probe {
-            Probe::Pressure { name, .. } => format!("{name}_pa"),
-            Probe::Height { name, .. } => format!("{name}_m"),
+    fn walls_in_sight(
+        &self,
+        at: &Vector<D>,
+        particles: &Particles<D>,
+        cells: &[WallCell<D>],
+    ) -> Vec<(u32, f64)> {
+        let in_sight = |(a, cell): (usize, &WallCell<D>)| {
+            let centre = particles.position[a];
+            let r = (at - centre).norm();
+            let is_plate = cell.open.contains(&[true, true]);
+            let is_seen = |(axis, end): (usize, usize)| {
+                let mut face = centre;
+                face[axis] += (end as f64 - 0.5) * self.params.spacing;
+                cell.open[axis][end] && self.obstacles.leave_free(at, &face)
+            };
+            let mut sides = (0..D).flat_map(|axis| [(axis, 0), (axis, 1)]);
+            let is_closed = cell.open == [[false; 2]; D];
+            let seen = sides.any(is_seen) || is_closed && self.obstacles.leave_free(at, &centre);
+            (r < self.params.support() && !is_plate && seen).then(|| (a as u32, self.weight(r)))
         };
-        probes.iter().map(column).collect()
+        cells.iter().enumerate().filter_map(in_sight).collect()
     }
 
-    /// Present values.
-    pub fn read(&self, simulation: &Simulation<D>) -> Vec<Cell<'static>> {
-        let value = |gauge: &Gauge<D>| match gauge {
-            Gauge::Pressure(at) => self.pressure(simulation, at),
-            Gauge::Height(foot) => self.height(simulation, foot),
+    /// Present values, in the order of the probes; `time` in s tells filters how old a reading is.
+    pub fn read(&mut self, particles: &Particles<D>, fields: &Fields<D>, time: f64) -> Vec<Cell<'static>> {
+        let near = self.bins.sort(particles);
+        let reading = |(gauge, near): (&Gauge<D>, &Vec<u32>)| match &gauge.kind {
+            Kind::Pressure { walls, .. } => self.pressure(particles, fields, &gauge.at, walls, near),
+            Kind::Height { solids } => self.height(particles, &gauge.at, solids, near),
         };
-        self.gauges.iter().map(|gauge| value(gauge).map_or(Cell::Word(DRY), Cell::Number)).collect()
+        let readings: Vec<Option<f64>> = self.gauges.iter().zip(&near).map(reading).collect();
+        let filtered = self.gauges.iter_mut().zip(readings).map(|(gauge, reading)| match &mut gauge.kind {
+            Kind::Pressure { filter: Some(filter), .. } => {
+                let mean = filter.mean_with(time, reading.unwrap_or(0.0));
+                reading.map(|_| mean)
+            }
+            _ => reading,
+        });
+        filtered.map(|value| value.map_or(Cell::Word(DRY), Cell::Number)).collect()
     }
 
     fn weight(&self, r: f64) -> f64 {
         (self.kernel)(r, self.params.smoothing_length())
     }
 
-    fn pressure(&self, simulation: &Simulation<D>, at: &Vector<D>) -> Option<f64> {
-        let particles = &simulation.particles;
-        let active = simulation.scheme.fields().active;
+    fn pressure(
+        &self,
+        particles: &Particles<D>,
+        fields: &Fields<D>,
+        at: &Vector<D>,
+        walls: &[(u32, f64)],
+        near: &[u32],
+    ) -> Option<f64> {
         let (support, gradient) = (self.params.support(), self.params.density * self.params.gravity);
-        let (mut weights, mut wet, mut sum) = (0.0, 0.0, 0.0);
-        for b in particles.walls().chain(particles.fluid()) {
-            let away = at - particles.position[b];
-            let r = away.norm();
-            if r < support && active.get(b).copied().unwrap_or(false) {
-                let w = self.weight(r);
-                weights += w;
-                sum += w * (particles.pressure[b] + gradient.dot(&away));
-                if b >= particles.solids() {
-                    wet += w;
-                }
+        let (mut weights, mut sum) = (0.0, 0.0);
+        let mut add = |b: usize, w: f64| {
+            weights += w;
+            sum += w * (particles.pressure[b] + gradient.dot(&(at - particles.position[b])));
+            weights
+        };
+        let mut wet = 0.0;
+        for b in near.iter().map(|&b| b as usize) {
+            let r = (at - particles.position[b]).norm();
+            if r < support && self.obstacles.leave_free(at, &particles.position[b]) {
+                wet = add(b, self.weight(r));
             }
         }
-        let volume = self.params.volume();
-        (wet * volume > WET).then(|| sum / weights)
+        let is_active = |b: usize| fields.active.get(b).copied().unwrap_or(false);
+        for &(b, w) in walls.iter().filter(|(b, _)| fields.walls_carry_pressure && is_active(*b as usize)) {
+            add(b as usize, w);
+        }
+        (wet * self.params.volume() > WET).then(|| sum / weights)
     }
 
-    fn height(&self, simulation: &Simulation<D>, foot: &Vector<D>) -> Option<f64> {
-        let position = &simulation.particles.position;
-        let (support, spacing) = (self.params.support(), self.params.spacing);
-        let volume = spacing.powi(D as i32);
+    fn height(
+        &self,
+        particles: &Particles<D>,
+        foot: &Vector<D>,
+        solids: &[Vector<D>],
+        near: &[u32],
+    ) -> Option<f64> {
+        let (support, spacing, volume) = (self.params.support(), self.params.spacing, self.params.volume());
         let up = D - 1;
-        let near: Vec<&Vector<D>> = position
+        let liquid: Vec<&Vector<D>> = near
             .iter()
-            .filter(|r| {
-                let away = *r - foot;
-                away.norm_squared() - away[up] * away[up] < support * support
-            })
+            .map(|&b| &particles.position[b as usize])
+            .filter(|r| horizontal_square(foot, r) < support * support)
             .collect();
+        // Above one half where liquid fills more than half of the kernel.
         let filled = |height: f64| {
             let mut at = *foot;
             at[up] += height;
-            let weights = near.iter().map(|r| (at - *r).norm()).filter(|r| *r < support);
-            volume * weights.map(|r| self.weight(r)).sum::<f64>()
+            let share = |r: &Vector<D>| match (at - r).norm() {
+                r if r < support => volume * self.weight(r),
+                _ => 0.0,
+            };
+            let (mut full, mut open) = (0.0, 1.0);
+            full += liquid.iter().map(|r| share(r)).sum::<f64>();
+            for r in solids {
+                if r[up] < foot[up] { full += share(r) } else { open -= share(r) }
+            }
+            full / open
         };
-        let step = 0.25 * spacing;
-        let (mut height, mut below) = (0.0, filled(0.0));
         // At the foot of a wet line the floor fills the lower half: liquid has to add to it.
         if filled(0.5 * spacing) < 0.5 {
             return None;
         }
+        let step = 0.25 * spacing;
+        let (mut height, mut below) = (0.5 * spacing, filled(0.5 * spacing));
         loop {
             let above = filled(height + step);
-            if above < 0.5 && height >= step {
+            if above < 0.5 {
                 return Some(height + step * (below - 0.5) / (below - above));
             }
             (height, below) = (height + step, above);
+        }
+    }
+
+    /// What filters remember.
+    pub fn save(&self, writer: &mut checkpoint::Writer) {
+        let past = self.gauges.iter().enumerate().flat_map(|(k, gauge)| match &gauge.kind {
+            Kind::Pressure { filter: Some(filter), .. } => {
+                filter.past.iter().flat_map(|(time, value)| [k as f64, *time, *value]).collect()
+            }
+            _ => vec![],
+        });
+        writer.f64("filters", &past.collect::<Vec<_>>());
+    }
+
+    /// Goes on from a saved state.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if it has none of these gauges.
+    pub fn restore(&mut self, reader: &checkpoint::Reader) -> Result<()> {
+        // Gauges that are new in the resumed run have nothing to remember.
+        if !reader.names().any(|name| name == "filters") {
+            return Ok(());
+        }
+        for entry in reader.f64("filters")?.chunks_exact(3) {
+            match self.gauges.get_mut(entry[0] as usize).map(|gauge| &mut gauge.kind) {
+                Some(Kind::Pressure { filter: Some(filter), .. }) => {
+                    filter.past.push_back((entry[1], entry[2]))
+                }
+                _ => {
+                    return Err(Error::Input(
+                        "the checkpoint has other filters: start the run afresh".into(),
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn horizontal_square<const D: usize>(a: &Vector<D>, b: &Vector<D>) -> f64 {
+    (0..D - 1).map(|d| (a[d] - b[d]).powi(2)).sum()
+}
+
+/// A running mean over the past.
+struct Filter {
+    window: f64,
+    /// Times and readings, oldest first.
+    past: VecDeque<(f64, f64)>,
+}
+
+impl Filter {
+    fn new(window: f64) -> Self {
+        Self { window, past: VecDeque::new() }
+    }
+
+    fn mean_with(&mut self, time: f64, value: f64) -> f64 {
+        self.past.push_back((time, value));
+        while self.past.front().is_some_and(|(old, _)| *old <= time - self.window) {
+            self.past.pop_front();
+        }
+        self.past.iter().map(|(_, value)| value).sum::<f64>() / self.past.len() as f64
+    }
+}
+
+/// Slices of the scene along x, each with the gauges whose kernels reach into it: one pass over the liquid then serves
+/// all gauges, and most particles meet no gauge at all.
+#[derive(Default)]
+struct Bins {
+    min: f64,
+    width: f64,
+    gauges: Vec<Vec<u32>>,
+    count: usize,
+}
+
+/// Enough bins for any scene of few gauges, and no trouble for memory.
+const MOST_BINS: f64 = 4096.0;
+
+impl Bins {
+    fn new(x: impl Iterator<Item = f64>, support: f64) -> Self {
+        let x: Vec<f64> = x.collect();
+        let min = x.iter().copied().fold(f64::INFINITY, f64::min) - support;
+        let max = x.iter().copied().fold(f64::NEG_INFINITY, f64::max) + support;
+        if x.is_empty() {
+            return Self::default();
+        }
+        let width = (0.5 * support).max((max - min) / MOST_BINS);
+        let mut gauges = vec![vec![]; ((max - min) / width) as usize + 1];
+        for (k, x) in x.iter().enumerate() {
+            let [from, to] = [x - support, x + support].map(|edge| ((edge - min) / width).max(0.0) as usize);
+            gauges[from..=to].iter_mut().for_each(|bin| bin.push(k as u32));
+        }
+        Self { min, width, gauges, count: x.len() }
+    }
+
+    /// For each gauge the liquid particles in its bins.
+    fn sort<const D: usize>(&self, particles: &Particles<D>) -> Vec<Vec<u32>> {
+        let mut near = vec![vec![]; self.count];
+        let fluid = particles.fluid();
+        for (b, r) in fluid.clone().zip(&particles.position[fluid]) {
+            let bin = (r[0] - self.min) / self.width;
+            if bin >= 0.0 && bin < self.gauges.len() as f64 {
+                self.gauges[bin as usize].iter().for_each(|&k| near[k as usize].push(b as u32));
+            }
+        }
+        near
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::case::{build, read};
+    use crate::neighbors::Neighbors;
+
+    const CASE: &str = r#"
+name = "bath"
+dimension = 2
+spacing = 0.02
+[[fluid.block]]
+min = [0, 0]
+max = [0.4, 0.2]
+[[fluid.block]]
+min = [0.44, 0]
+max = [0.8, 0.1]
+[tank]
+min = [0, 0]
+max = [0.8, 0.6]
+open = ["top"]
+[[box]]
+min = [0.4, 0]
+max = [0.44, 0.3]
+[time]
+until = 1
+"#;
+
+    /// Readings with 0.2 m of water before a thin box and 0.1 m behind it, each hydrostatic by decree.
+    fn read_with(probes: &str, walls_carry_pressure: bool) -> Vec<Cell<'static>> {
+        let case = read::read(CASE, "bath", &[("probe".to_owned(), format!("[{probes}]"))]).unwrap();
+        let scene = build::scene::<2>(&case);
+        let mut particles = scene.particles;
+        let level = |r: &Vector<2>| if r.x < 0.42 { 0.2 } else { 0.1 };
+        particles.pressure = match walls_carry_pressure {
+            true => particles.position.iter().map(|r| 9810.0 * (level(r) - r.y)).collect(),
+            false => vec![0.0; particles.len()],
+        };
+        for b in particles.fluid() {
+            particles.pressure[b] = 9810.0 * (level(&particles.position[b]) - particles.position[b].y);
+        }
+        let active: Vec<bool> = particles.position.iter().map(|r| r.y < level(r)).collect();
+        let fields = Fields {
+            crowding: &[],
+            surface: &[],
+            active: &active,
+            neighbors: &Neighbors::default(),
+            walls_carry_pressure,
+            wall_force: &[],
+        };
+        Gauges::new(&case.probes, &scene.lattice, &particles, &scene.params).read(&particles, &fields, 0.0)
+    }
+
+    fn pressure(x: f64, y: f64) -> String {
+        format!("{{kind = 'pressure', name = 'p{:.0}_{:.0}', position = [{x}, {y}]}}", 1e3 * x, 1e3 * y)
+    }
+
+    fn height(x: f64) -> String {
+        format!("{{kind = 'height', name = 'h{:.0}', position = [{x}, 0]}}", 1e3 * x)
+    }
+
+    fn number(cell: Cell) -> f64 {
+        if let Cell::Number(value) = cell { value } else { panic!("{cell:?}") }
+    }
+
+    #[test]
+    fn hydrostatic_pressure_is_exact_on_faces_on_either_side_of_a_thin_box() {
+        let places =
+            [(0.1, 0.1), (0.0, 0.07), (0.2, 0.0), (0.0, 0.0), (0.4, 0.05), (0.44, 0.05), (0.44, 0.0)];
+        for walls_carry_pressure in [true, false] {
+            let probes = places.map(|(x, y)| pressure(x, y)).join(", ");
+            let found = read_with(&probes, walls_carry_pressure);
+            for ((x, y), cell) in places.into_iter().zip(found) {
+                let expected = 9810.0 * (if x < 0.42 { 0.2 } else { 0.1 } - y);
+                assert!((number(cell) - expected).abs() < 1e-6, "({x}, {y}): {cell:?} Pa, {expected} Pa");
+            }
+        }
+    }
+
+    #[test]
+    fn gauges_above_the_water_are_dry() {
+        let probes = [pressure(0.0, 0.24), pressure(0.44, 0.15), pressure(0.6, 0.3)].join(", ");
+        assert_eq!(read_with(&probes, true), [Cell::Word(DRY); 3]);
+        let lines = "{kind = 'height', name = 'a', position = [0.6, 0.2]}, \
+                     {kind = 'height', name = 'b', position = [0.42, 0.3]}";
+        assert_eq!(read_with(lines, true), [Cell::Word(DRY); 2]);
+    }
+
+    #[test]
+    fn heights_are_those_of_the_surface_beside_walls_and_boxes_too() {
+        let lines = [
+            (0.2, 0.2),
+            (0.0, 0.2),
+            (0.01, 0.2),
+            (0.39, 0.2),
+            (0.4, 0.2),
+            (0.45, 0.1),
+            (0.6, 0.1),
+            (0.8, 0.1),
+        ];
+        let found = read_with(&lines.map(|(x, _)| height(x)).join(", "), true);
+        for ((x, expected), cell) in lines.into_iter().zip(found) {
+            assert!((number(cell) - expected).abs() < 0.05 * 0.02, "{x}: {cell:?} m, {expected} m");
+        }
+    }
+
+    #[test]
+    fn a_layer_of_one_particle_is_one_spacing_high() {
+        for spacing in [0.0275, 0.02] {
+            let sets = [
+                ("spacing", format!("{spacing}")),
+                ("fluid.block", format!("[{{min = [0, 0], max = [0.4, {spacing}]}}]")),
+                ("box", "[]".to_owned()),
+                ("probe", format!("[{}]", height(0.2))),
+            ];
+            let case = read::read(CASE, "bath", &sets.map(|(k, v)| (k.to_owned(), v))).unwrap();
+            let scene = build::scene::<2>(&case);
+            let neighbors = Neighbors::default();
+            let fields = Fields {
+                crowding: &[],
+                surface: &[],
+                active: &[],
+                neighbors: &neighbors,
+                walls_carry_pressure: true,
+                wall_force: &[],
+            };
+            let mut gauges = Gauges::new(&case.probes, &scene.lattice, &scene.particles, &scene.params);
+            let height = number(gauges.read(&scene.particles, &fields, 0.0)[0]);
+            assert!((height / spacing - 1.0).abs() < 0.05, "{height} m at {spacing} m");
+        }
+    }
+
+    #[test]
+    fn a_filter_is_the_mean_of_the_last_rows() {
+        let mut filter = Filter::new(0.03);
+        let means =
+            [4.0, 0.0, 2.0, 7.0].iter().zip(0..).map(|(v, k)| filter.mean_with(0.011 * f64::from(k), *v));
+        assert_eq!(means.collect::<Vec<_>>(), [4.0, 2.0, 2.0, 3.0]);
+    }
+
+    #[test]
+    fn bins_find_all_that_is_near() {
+        let case = read::read(CASE, "bath", &[]).unwrap();
+        let particles = build::scene::<2>(&case).particles;
+        let x = [0.0, 0.31, 0.8];
+        let near = Bins::new(x.into_iter(), 0.05).sort(&particles);
+        for (x, near) in x.into_iter().zip(near) {
+            let found: Vec<usize> = near.iter().map(|&b| b as usize).collect();
+            for b in particles.fluid().filter(|&b| (particles.position[b].x - x).abs() < 0.05) {
+                assert!(found.contains(&b));
+            }
+            assert!(found.iter().all(|&b| (particles.position[b].x - x).abs() < 0.1), "and not much more");
         }
     }
 }

@@ -49,6 +49,18 @@ impl<'a> From<&'a str> for Cell<'a> {
     }
 }
 
+/// Units that columns of a run end with.
+const UNITS: [&str; 5] = ["m", "m_per_s", "j", "pa", "n"];
+
+/// The column that records a quantity: of its name, or of its name and a unit.
+pub fn column_of<'a>(quantity: &str, columns: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let names = |column: &&str| {
+        let unit = column.strip_prefix(quantity).and_then(|rest| rest.strip_prefix('_'));
+        *column == quantity || unit.is_some_and(|unit| UNITS.contains(&unit))
+    };
+    columns.into_iter().find(names)
+}
+
 /// A CSV file that only ever grows by whole rows.
 #[derive(Debug)]
 pub struct Table {
@@ -214,5 +226,16 @@ mod tests {
         let path = folder.path().join("new.csv");
         Table::resume(&path, &COLUMNS, 1.0).unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "time_s,height_m,iterations\n");
+    }
+
+    #[test]
+    fn quantities_are_found_with_and_without_unit() {
+        let columns = ["front_m", "kinetic_energy_j", "p1_left_pa", "p1_pa", "box_x_n", "particles"];
+        assert_eq!(column_of("front", columns), Some("front_m"));
+        assert_eq!(column_of("front_m", columns), Some("front_m"));
+        assert_eq!(column_of("particles", columns), Some("particles"));
+        assert_eq!(column_of("p1", columns), Some("p1_pa"), "not that of another gauge");
+        assert_eq!(column_of("box_x", columns), Some("box_x_n"));
+        assert_eq!(column_of("fro", columns), None);
     }
 }

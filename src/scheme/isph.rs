@@ -430,6 +430,8 @@ impl<const D: usize> Scheme<D> for Isph<D> {
             surface: &self.surface,
             active: &self.support.active,
             neighbors: &self.support.neighbors,
+            walls_carry_pressure: true,
+            wall_force: &[],
         }
     }
 

@@ -110,6 +110,10 @@ pub struct Fields<'a, const D: usize> {
     pub active: &'a [bool],
     /// Neighbours at the last search.
     pub neighbors: &'a crate::neighbors::Neighbors<D>,
+    /// Whether the pressures of wet walls mean anything; if not, gauges look at the liquid alone.
+    pub walls_carry_pressure: bool,
+    /// Force of the liquid on each wall particle in N, in schemes whose walls act by forces of their own; else empty.
+    pub wall_force: &'a [Vector<D>],
 }
 
 /// What one step did.
