@@ -10,6 +10,7 @@ use crate::case::{CaseFile, SchemeKind, read};
 use crate::cli::{self, RunArgs};
 use crate::output::comparison::References;
 use crate::output::observers::{History, Snapshots, SolverLog};
+use crate::output::picture::gallery::{self, Pictures};
 use crate::output::{Progress, RunFolder, Status, write_atomic};
 use crate::output::{checkpoint, restart};
 use crate::ppe::PressureSolve;
@@ -68,6 +69,7 @@ struct Run<'a, const D: usize> {
     history: History<D>,
     solver_log: SolverLog,
     snapshots: Snapshots<D>,
+    pictures: Pictures<D>,
     progress: Progress,
     references: References<'a>,
     stop: Arc<AtomicBool>,
@@ -120,6 +122,7 @@ impl<'a, const D: usize> Run<'a, D> {
             history,
             solver_log: SolverLog::new(&folder, &args.save_systems, since)?,
             snapshots: Snapshots::new(&folder, case, since)?,
+            pictures: Pictures::new(&folder, case, since),
             progress: Progress::new(case.time.until, args.quiet),
             stop: Arc::new(AtomicBool::new(false)),
             references,
@@ -139,6 +142,7 @@ impl<'a, const D: usize> Run<'a, D> {
         if since.is_none() {
             run.history.start(&run.simulation)?;
             run.snapshots.write(&run.simulation)?;
+            run.pictures.draw_due(&run.simulation)?;
         }
         Ok(run)
     }
@@ -175,6 +179,8 @@ impl<'a, const D: usize> Run<'a, D> {
         write_atomic(&self.folder.join("summary.json"), |file| {
             serde_json::to_writer_pretty(file, &report.json()).map_err(Into::into)
         })?;
+        self.pictures.draw_last(&self.simulation)?;
+        gallery::write_curves(&self.folder, self.case, &self.references)?;
         if self.args.quiet { Ok(()) } else { cli::print(&report.to_string()) }
     }
 
@@ -184,6 +190,7 @@ impl<'a, const D: usize> Run<'a, D> {
             self.history.observe(&self.simulation, &report)?;
             self.solver_log.observe(&self.simulation, &report)?;
             self.snapshots.observe(&self.simulation, &report)?;
+            self.pictures.observe(&self.simulation, &report)?;
             let simulation = &self.simulation;
             self.progress.update(&Status {
                 time: simulation.time,

@@ -78,6 +78,13 @@ impl<'a> References<'a> {
         Ok(Self { series: series.collect::<Result<_>>()?, arrivals: &case.arrivals, reach: case.spacing })
     }
 
+    /// Names and values over times in s of the measured series that a column of a run's tables is compared with.
+    pub fn measured_in(&self, column: &str) -> impl Iterator<Item = (&str, &[(f64, f64)])> {
+        let series =
+            self.series.iter().filter(move |series| column_of(series.quantity(), [column]).is_some());
+        series.map(|series| (series.reference.name.as_str(), series.data.as_slice()))
+    }
+
     /// Compares the table `history` of a run.
     ///
     /// # Errors
@@ -167,13 +174,13 @@ fn interpolate(series: &[(f64, f64)], time: f64) -> f64 {
 }
 
 /// A CSV file by columns; words count as NaN.
-struct Columns {
+pub(super) struct Columns {
     file: String,
     columns: BTreeMap<String, Vec<f64>>,
 }
 
 impl Columns {
-    fn read(path: &Path) -> Result<Self> {
+    pub(super) fn read(path: &Path) -> Result<Self> {
         let file = path.display().to_string();
         let text = std::fs::read_to_string(path).map_err(|error| {
             Error::Input(format!("{file}: cannot be read ({error}): check its path and contents"))
@@ -192,7 +199,7 @@ impl Columns {
         Ok(Self { file, columns })
     }
 
-    fn names(&self) -> impl Iterator<Item = &str> {
+    pub(super) fn names(&self) -> impl Iterator<Item = &str> {
         self.columns.keys().map(String::as_str)
     }
 
@@ -203,10 +210,15 @@ impl Columns {
         })
     }
 
+    /// All rows of two columns.
+    pub(super) fn rows(&self, first: &str, second: &str) -> Result<Vec<(f64, f64)>> {
+        Ok(self.column(first)?.iter().copied().zip(self.column(second)?.iter().copied()).collect())
+    }
+
     /// Rows that have numbers in both columns.
     fn pairs(&self, first: &str, second: &str) -> Result<Vec<(f64, f64)>> {
-        let pairs = self.column(first)?.iter().copied().zip(self.column(second)?.iter().copied());
-        Ok(pairs.filter(|(a, b)| a.is_finite() && b.is_finite()).collect())
+        let rows = self.rows(first, second)?.into_iter();
+        Ok(rows.filter(|(a, b)| a.is_finite() && b.is_finite()).collect())
     }
 }
 
