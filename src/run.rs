@@ -74,6 +74,8 @@ struct Run<'a, const D: usize> {
     references: References<'a>,
     stop: Arc<AtomicBool>,
     began: Instant,
+    /// Wall-clock time in s of the parts of a resumed run that ended in order.
+    earlier_s: f64,
     next_checkpoint: f64,
     solver: String,
     /// Whether the pressure of the first state could be found; if not, that is a failure of the run.
@@ -127,6 +129,7 @@ impl<'a, const D: usize> Run<'a, D> {
             stop: Arc::new(AtomicBool::new(false)),
             references,
             began: Instant::now(),
+            earlier_s: since.map_or(0.0, |_| wall_time_in(&folder)),
             next_checkpoint: case.output.checkpoint * (simulation.time / case.output.checkpoint).floor()
                 + case.output.checkpoint,
             solver: described,
@@ -172,7 +175,7 @@ impl<'a, const D: usize> Run<'a, D> {
             energy: self.history.energy(),
             comparison,
             solver: &self.solver,
-            wall_s: self.began.elapsed().as_secs_f64(),
+            wall_s: self.earlier_s + self.began.elapsed().as_secs_f64(),
             folder: self.folder.path(),
             failure: outcome.as_ref().err().map(ToString::to_string),
         };
@@ -290,6 +293,13 @@ fn resume_from(args: &RunArgs, case: &CaseFile) -> Result<Option<(RunFolder, che
     Ok(Some((RunFolder::open(&path)?, state)))
 }
 
+/// What the summary of an earlier part of a run gives as its wall-clock time in s.
+fn wall_time_in(folder: &RunFolder) -> f64 {
+    let summary = std::fs::read(folder.join("summary.json")).ok();
+    let summary = summary.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
+    summary.and_then(|summary| summary["wall_s"].as_f64()).unwrap_or(0.0)
+}
+
 /// A number for what the particles of a case are made from; what else differs is no obstacle to going on.
 fn scene_number(case: &CaseFile) -> u64 {
     let scene = (case.dimension, case.spacing, &case.tank, &case.boxes, &case.fluid.blocks);
@@ -307,17 +317,28 @@ fn newest_run(name: &str) -> Option<PathBuf> {
 }
 
 fn write_run_file(folder: &RunFolder, args: &RunArgs, case: &CaseFile) -> Result<()> {
+    let text = run_file(args, case, rayon::current_num_threads());
+    write_atomic(&folder.join("run.toml"), |file| std::io::Write::write_all(file, text.as_bytes()))
+}
+
+/// The contents of run.toml for a run on this many threads.
+pub(crate) fn run_file(args: &RunArgs, case: &CaseFile, threads: usize) -> String {
     let header = "The case as run, with all defaults: feed it back to repeat the run.";
     let mut text = read::write(case, header);
+    let references = args.references.iter().map(|reference| {
+        let name = reference.name.as_ref().map(|name| format!("{name}=")).unwrap_or_default();
+        toml::Value::from(name + &reference.file.to_string_lossy())
+    });
     let machine = toml::Table::from_iter([
         ("version".to_owned(), env!("CARGO_PKG_VERSION").into()),
         ("petsc".to_owned(), petsc_version().into()),
         ("petsc_options".to_owned(), args.petsc.join(" ").into()),
+        ("references".to_owned(), references.collect::<toml::value::Array>().into()),
         ("system".to_owned(), format!("{} {}", std::env::consts::OS, std::env::consts::ARCH).into()),
-        ("threads".to_owned(), i64::try_from(rayon::current_num_threads()).unwrap_or(i64::MAX).into()),
+        ("threads".to_owned(), i64::try_from(threads).unwrap_or(i64::MAX).into()),
     ]);
     text += &format!("\n[run]\n{machine}");
-    write_atomic(&folder.join("run.toml"), |file| std::io::Write::write_all(file, text.as_bytes()))
+    text
 }
 
 #[cfg(feature = "petsc")]

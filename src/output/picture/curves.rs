@@ -49,10 +49,12 @@ pub enum Style {
 /// # Errors
 /// [`Error::Io`](crate::Error::Io) if the file cannot be written.
 pub fn series_plot(path: &Path, title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<()> {
-    // Times of gaps count: all gauges of a run share their axis.
-    let all = || series.iter().flat_map(|s| &s.points);
-    let (x_low, x_high) = bounds(all().map(|p| p.0).filter(|x| x.is_finite()));
-    let (y_low, y_high) = bounds(all().map(|p| p.1).filter(|y| y.is_finite()));
+    // What was computed gives the span of time, gaps included: so all gauges of a run share their axis, and a measurement
+    // that went on for longer does not press it into a corner.
+    let lines = || series.iter().filter(|s| s.style == Style::Line || series.len() == 1);
+    let (x_low, x_high) = bounds(lines().flat_map(|s| &s.points).map(|p| p.0).filter(|x| x.is_finite()));
+    let shown = |&&(x, y): &&(f64, f64)| (x_low..=x_high).contains(&x) && y.is_finite();
+    let (y_low, y_high) = bounds(series.iter().flat_map(|s| s.points.iter().filter(shown)).map(|p| p.1));
     let margin = 0.05 * (y_high - y_low);
     // Zero is a natural floor: no margin below it.
     let y_low = if y_low == 0.0 { 0.0 } else { y_low - margin };
@@ -73,7 +75,7 @@ pub fn series_plot(path: &Path, title: &str, x_label: &str, y_label: &str, serie
         )?;
         axes.draw(area)?;
         for (s, color) in series.iter().zip(series_colors(series)) {
-            for run in s.points.split(|(x, y)| !x.is_finite() || !y.is_finite()) {
+            for run in s.points.split(|point| !shown(&point)) {
                 let run: Vec<_> = run.iter().map(|p| axes.dot(*p)).collect();
                 match s.style {
                     Style::Line => area.draw(&PathElement::new(run, color.stroke_width(4)))?,
@@ -180,7 +182,7 @@ fn bounds(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     match (low, high) {
         (low, high) if low > high => (0.0, 1.0),
         (low, high) if high - low > 1e-12 * high.abs().max(low.abs()) && high - low > 1e-300 => (low, high),
-        (same, _) if same == 0.0 => (0.0, 1.0),
+        (0.0, _) => (0.0, 1.0),
         (same, _) => (same - 0.1 * same.abs(), same + 0.1 * same.abs()),
     }
 }

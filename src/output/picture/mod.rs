@@ -93,7 +93,7 @@ fn letters(across: HPos, down: VPos) -> TextStyle<'static> {
 
 /// Smaller letters in a colour, for notes.
 fn small_letters(color: &RGBColor) -> TextStyle<'_> {
-    ("sans-serif", dots(LETTERS - 3)).into_font().color(color)
+    ("sans-serif", dots(LETTERS - 2)).into_font().color(color)
 }
 
 /// A rectangle in pixels.
