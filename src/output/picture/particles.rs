@@ -125,7 +125,7 @@ fn map<const D: usize>(
     axes.draw(area)?;
     // A little more than half a spacing: no gaps between the discs of a lattice.
     let radius = 0.54 * scene.spacing * f64::from(dots(place.width)) / (x.end - x.start);
-    let radius = radius.round().max(1.0) as i32;
+    let radius = radius.ceil().max(1.0) as i32;
     let (low, high) = scene.frame();
     let middle = 0.5 * (low + high);
     let shown = |r: &Vector<D>| {
@@ -201,14 +201,19 @@ fn perspective<const D: usize>(area: &Area, place: Place, scene: &Scene<D>, colo
     let mut seen: Vec<_> = particles.map(|(r, color)| (camera.see(&r), color)).collect();
     seen.sort_by(|(a, _), (b, _)| b[2].total_cmp(&a[2]));
     let inside = |(x, y): (i32, i32)| x > 0 && y > dots(place.top) && y < dots(place.top + place.height + 15);
+    let radius_at = |distance: f64| (0.56 * scale * scene.spacing / distance).ceil().max(1.0);
+    // A darker rim tells one particle from the next, where there are dots enough for it.
+    let rimmed = radius_at(camera.see(&(0.5 * (low + high)))[2]) > 6.0;
     for (at, color) in seen {
         let color = if color == WALL { STRUCTURE } else { color };
-        let radius = (0.56 * scale * scene.spacing / at[2]).max(1.0);
+        let radius = radius_at(at[2]);
         let centre = dot(&at);
         if at[2] > 0.0 && inside(centre) {
-            // A darker rim tells one particle from the next.
-            area.draw(&Circle::new(centre, radius.round() as i32, darker(color).filled()))?;
-            area.draw(&Circle::new(centre, (0.72 * radius).round() as i32, color.filled()))?;
+            let outer = if rimmed { darker(color) } else { color };
+            area.draw(&Circle::new(centre, radius as i32, outer.filled()))?;
+            if rimmed {
+                area.draw(&Circle::new(centre, (0.72 * radius).round() as i32, color.filled()))?;
+            }
         }
     }
     // The edges in front of the liquid once more: all that do not end in the farthest corner.
