@@ -202,16 +202,18 @@ fn perspective<const D: usize>(area: &Area, place: Place, scene: &Scene<D>, colo
     seen.sort_by(|(a, _), (b, _)| b[2].total_cmp(&a[2]));
     let inside = |(x, y): (i32, i32)| x > 0 && y > dots(place.top) && y < dots(place.top + place.height + 15);
     let radius_at = |distance: f64| (0.56 * scale * scene.spacing / distance).ceil().max(1.0);
-    // A darker rim tells one particle from the next, where there are dots enough for it.
+    // A darker rim tells one particle from the next, where there are dots enough for it. What stands in the tank always
+    // has it: all of one colour, its edges would not show.
     let rimmed = radius_at(camera.see(&(0.5 * (low + high)))[2]) > 6.0;
     for (at, color) in seen {
         let color = if color == WALL { STRUCTURE } else { color };
         let radius = radius_at(at[2]);
         let centre = dot(&at);
         if at[2] > 0.0 && inside(centre) {
-            let outer = if rimmed { darker(color) } else { color };
+            let rim = rimmed || color == STRUCTURE;
+            let outer = if rim { darker(color) } else { color };
             area.draw(&Circle::new(centre, radius as i32, outer.filled()))?;
-            if rimmed {
+            if rim {
                 area.draw(&Circle::new(centre, (0.72 * radius).round() as i32, color.filled()))?;
             }
         }
