@@ -3,7 +3,7 @@
 //! A token with one dash and more than one letter belongs to PETSc's options database, together with its value; all
 //! others are ours and go to clap.
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,8 @@ use crate::{Error, Result};
 
 const USAGE: &str = "sphpetsc [CASE] [--own-options] [-petsc_options]
        sphpetsc cases [show NAME]
-       sphpetsc check [CASE] [--own-options]";
+       sphpetsc check [CASE] [--own-options]
+       sphpetsc study [CASE] [--own-options] [-petsc_options]";
 
 const PETSC_HELP: &str = "PETSc options:
   A token with one dash and more than one letter goes to PETSc with its value, anywhere after CASE:
@@ -31,6 +32,8 @@ pub enum Command {
     Run(Box<RunArgs>),
     /// Validate a case and run nothing.
     Check(Box<RunArgs>),
+    /// Run a case with several schemes and spacings.
+    Study(Box<StudyArgs>),
     /// List the built-in cases.
     Cases,
     /// Print the TOML of a built-in case.
@@ -58,6 +61,8 @@ enum Task {
     },
     /// Validate a case and print what a run would take; run nothing
     Check(Box<RunArgs>),
+    /// Run a case with several schemes and spacings: errors over run times, as a table and a picture
+    Study(Box<StudyArgs>),
 }
 
 #[derive(Debug, Subcommand)]
@@ -127,6 +132,58 @@ pub struct RunArgs {
     pub petsc: Vec<String>,
 }
 
+/// What a study is made of, as typed.
+#[derive(Debug, Clone, Default, PartialEq, Args)]
+pub struct StudyArgs {
+    /// Built-in case or case file (.toml); comes first [default: dam_break_2d]
+    pub case: Option<String>,
+
+    /// Numerical methods [default: the case's own]
+    #[arg(long, value_name = "NAME,NAME", value_enum, value_delimiter = ',', help_heading = "Study")]
+    pub schemes: Vec<SchemeKind>,
+    /// Particle spacings in m [default: 4, 2 and 1 times the case's own]
+    #[arg(long, value_name = "M,M", value_delimiter = ',', help_heading = "Study")]
+    #[arg(value_parser = metres, allow_negative_numbers = true)]
+    pub spacings: Vec<f64>,
+    /// Error measure on the terminal and in the picture [default: the first that the runs have]
+    #[arg(long, value_name = "NAME", help_heading = "Study")]
+    pub measure: Option<String>,
+
+    /// Flow time to reach in s
+    #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true, help_heading = "Case")]
+    pub until: Option<f64>,
+    /// Seed of all that is random
+    #[arg(long, value_name = "N", value_parser = seed, allow_negative_numbers = true, help_heading = "Case")]
+    pub seed: Option<u64>,
+    /// Any key of the case file, e.g. fluid.density=1025; repeatable
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = assignment, help_heading = "Case")]
+    pub set: Vec<(String, String)>,
+
+    /// Folder of the study; started again, it goes on there [default: out/NAME-study]
+    #[arg(long, short, value_name = "DIR", help_heading = "Output")]
+    pub out: Option<PathBuf>,
+    /// Run again what other arguments left in that folder
+    #[arg(long, help_heading = "Output")]
+    pub force: bool,
+    /// Measured data that errors are measured against, for the case's reference NAME; repeatable
+    #[arg(long = "reference", value_name = "[NAME=]FILE", value_parser = reference, help_heading = "Output")]
+    pub references: Vec<ReferenceFile>,
+
+    /// Threads of each run [default: all cores]
+    #[arg(long, value_name = "N", value_parser = threads, allow_negative_numbers = true, help_heading = "Program")]
+    pub threads: Option<usize>,
+    /// Print errors only
+    #[arg(short, long, conflicts_with = "verbose", help_heading = "Program")]
+    pub quiet: bool,
+    /// Print more
+    #[arg(short, long, help_heading = "Program")]
+    pub verbose: bool,
+
+    /// Tokens of PETSc's options database.
+    #[arg(skip)]
+    pub petsc: Vec<String>,
+}
+
 /// The data file of a reference.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReferenceFile {
@@ -161,15 +218,18 @@ pub fn parse(args: impl IntoIterator<Item = impl Into<OsString>>) -> Result<Comm
             )));
         }
     }
-    let run = match &mut cli.task {
-        Some(Task::Check(run)) => run,
-        _ => &mut cli.run,
-    };
-    run.petsc = petsc;
-    run.prove()?;
+    match &mut cli.task {
+        Some(Task::Study(study)) => {
+            study.petsc = petsc;
+            study.run().prove()?;
+        }
+        Some(Task::Check(run)) => run.prove_with(petsc)?,
+        _ => cli.run.prove_with(petsc)?,
+    }
     Ok(match cli.task {
         None => Command::Run(Box::new(cli.run)),
         Some(Task::Check(run)) => Command::Check(run),
+        Some(Task::Study(study)) => Command::Study(study),
         Some(Task::Cases { show: None }) => Command::Cases,
         Some(Task::Cases { show: Some(Show::Show { name }) }) => Command::ShowCase(name),
     })
@@ -254,11 +314,12 @@ impl RunArgs {
 
     /// How much the log prints.
     pub fn log_level(&self) -> log::LevelFilter {
-        match (self.quiet, self.verbose) {
-            (true, _) => log::LevelFilter::Error,
-            (_, true) => log::LevelFilter::Debug,
-            _ => log::LevelFilter::Info,
-        }
+        log_level(self.quiet, self.verbose)
+    }
+
+    fn prove_with(&mut self, petsc: Vec<String>) -> Result<()> {
+        self.petsc = petsc;
+        self.prove()
     }
 
     /// What needs more than one token to judge.
@@ -313,6 +374,73 @@ impl RunArgs {
         ];
         let named = named.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?)));
         named.chain(self.set.iter().cloned()).collect()
+    }
+}
+
+impl StudyArgs {
+    /// What all runs of the study have in common.
+    pub fn run(&self) -> RunArgs {
+        RunArgs {
+            case: self.case.clone(),
+            until: self.until,
+            seed: self.seed,
+            set: self.set.clone(),
+            references: self.references.clone(),
+            threads: self.threads,
+            quiet: self.quiet,
+            verbose: self.verbose,
+            petsc: self.petsc.clone(),
+            ..RunArgs::default()
+        }
+    }
+
+    /// How much the log prints.
+    pub fn log_level(&self) -> log::LevelFilter {
+        log_level(self.quiet, self.verbose)
+    }
+}
+
+impl RunArgs {
+    /// The arguments of a program that does this run: what [`parse`] turns back into `self`.
+    pub fn tokens(&self) -> Vec<OsString> {
+        let mut tokens: Vec<OsString> = self.case.iter().map(Into::into).collect();
+        let mut add = |name: &str, value: &dyn AsRef<OsStr>| {
+            tokens.extend([OsString::from(name), value.as_ref().to_owned()]);
+        };
+        for (key, value) in self.overrides() {
+            add("--set", &format!("{key}={value}"));
+        }
+        if let Some(folder) = &self.out {
+            add("--out", folder);
+        }
+        for ReferenceFile { name, file } in &self.references {
+            let mut typed = name.as_ref().map(|name| OsString::from(format!("{name}="))).unwrap_or_default();
+            typed.push(file);
+            add("--reference", &typed);
+        }
+        if let Some(threads) = self.threads {
+            add("--threads", &threads.to_string());
+        }
+        for time in &self.save_systems {
+            add("--save-systems", &format!("{time:?}"));
+        }
+        match &self.resume {
+            Some(Some(folder)) => add("--resume", folder),
+            Some(None) => tokens.push("--resume".into()),
+            None => {}
+        }
+        let flags = [("--force", self.force), ("--quiet", self.quiet), ("--verbose", self.verbose)];
+        tokens.extend(flags.iter().filter(|(_, on)| *on).map(|(name, _)| OsString::from(name)));
+        tokens.extend(self.petsc.iter().map(Into::into));
+        tokens
+    }
+}
+
+fn log_level(quiet: bool, verbose: bool) -> log::LevelFilter {
+    match (quiet, verbose) {
+        (true, _) => log::LevelFilter::Error,
+        (_, true) => log::LevelFilter::Debug,
+        _ => log::LevelFilter::Info,
     }
 }
 

@@ -511,7 +511,7 @@ mod tests {
             Aabb { min: Vector::<3>::new(2.3955, 0.2985, 0.0), max: Vector::<3>::new(2.5565, 0.7015, 0.161) };
         let open = [[false; 2], [false; 2], [false, true]];
         let shapes = Shapes {
-            tank: Some(TankShape { inner, open, periodic: [false; 2] }),
+            tank: Some(TankShape { inner, open, periodic: [false; 3] }),
             boxes: vec![solid],
             blocks: vec![],
         };

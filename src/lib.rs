@@ -37,10 +37,10 @@
 //! - [`boundary`]: walls of dummy particles
 //! - [`ppe`]: the pressure equation: matrix, source, solution
 //! - [`scheme`]: one time step; [`simulation`]: the time loop
-//! - [`output`]: particle files, tables, gauges, checkpoints; [`report`]: the end of a run
+//! - [`output`]: particle files, tables, gauges, checkpoints, pictures; [`report`]: the end of a run
 //! - [`exact`]: flows with a known solution
 //! - [`case`]: case files; [`patch_test`]: the operators on known fields
-//! - [`run`], [`cli`]: a run from the command line to its folder
+//! - [`run`], [`cli`]: a run from the command line to its folder; [`study`]: many runs, their errors over their run times
 
 #![deny(unsafe_code)]
 
@@ -65,6 +65,7 @@ pub mod report;
 pub mod run;
 pub mod scheme;
 pub mod simulation;
+pub mod study;
 pub mod terms;
 
 pub use error::{Error, Result};

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use log::{Level, Log, Metadata, Record};
 use sphpetsc::cli::{self, Command};
-use sphpetsc::{Result, run};
+use sphpetsc::{Result, run, study};
 
 fn main() -> ExitCode {
     std::panic::set_hook(Box::new(report_panic));
@@ -31,6 +31,10 @@ fn execute() -> Result<()> {
         Command::Run(args) => {
             start_log(args.log_level());
             run::run(&args, &args.load_case()?)
+        }
+        Command::Study(args) => {
+            start_log(args.log_level());
+            study::study(&args)
         }
     }
 }

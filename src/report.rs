@@ -35,7 +35,7 @@ pub struct Report<'a, const D: usize> {
     pub errors: Vec<ErrorMeasure>,
     /// The pressure solver in force.
     pub solver: &'a str,
-    /// Wall-clock time of the time loop in s.
+    /// Wall-clock time of the time loop in s, over all parts of a resumed run.
     pub wall_s: f64,
     /// Where the files are.
     pub folder: &'a Path,

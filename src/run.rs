@@ -12,6 +12,7 @@ use crate::exact;
 use crate::output::comparison::References;
 use crate::output::exact_log::ExactLog;
 use crate::output::observers::{History, Probes, Snapshots, SolverLog};
+use crate::output::picture::gallery::{self, Pictures};
 use crate::output::{Progress, RunFolder, Status, write_atomic};
 use crate::output::{checkpoint, restart};
 use crate::ppe::PressureSolve;
@@ -72,10 +73,13 @@ struct Run<'a, const D: usize> {
     probes: Probes<D>,
     solver_log: SolverLog,
     snapshots: Snapshots<D>,
+    pictures: Pictures<D>,
     progress: Progress,
     references: References<'a>,
     stop: Arc<AtomicBool>,
     began: Instant,
+    /// Wall-clock time in s of the parts of a resumed run that ended in order.
+    earlier_s: f64,
     next_checkpoint: f64,
     solver: String,
     /// Whether the pressure of the first state could be found; if not, that is a failure of the run.
@@ -132,10 +136,12 @@ impl<'a, const D: usize> Run<'a, D> {
             probes,
             solver_log: SolverLog::new(&folder, &args.save_systems, since)?,
             snapshots: Snapshots::new(&folder, case, since)?,
+            pictures: Pictures::new(&folder, case, since),
             progress: Progress::new(case.time.until, args.quiet),
             stop: Arc::new(AtomicBool::new(false)),
             references,
             began: Instant::now(),
+            earlier_s: since.map_or(0.0, |_| wall_time_in(&folder)),
             next_checkpoint: case.output.checkpoint * (simulation.time / case.output.checkpoint).floor()
                 + case.output.checkpoint,
             solver: described,
@@ -155,6 +161,7 @@ impl<'a, const D: usize> Run<'a, D> {
             }
             run.probes.sample(&run.simulation)?;
             run.snapshots.write(&run.simulation)?;
+            run.pictures.draw_due(&run.simulation)?;
         }
         Ok(run)
     }
@@ -185,13 +192,15 @@ impl<'a, const D: usize> Run<'a, D> {
             comparison,
             errors: self.exact.as_mut().map_or(Ok(vec![]), ExactLog::errors)?,
             solver: &self.solver,
-            wall_s: self.began.elapsed().as_secs_f64(),
+            wall_s: self.earlier_s + self.began.elapsed().as_secs_f64(),
             folder: self.folder.path(),
             failure: outcome.as_ref().err().map(ToString::to_string),
         };
         write_atomic(&self.folder.join("summary.json"), |file| {
             serde_json::to_writer_pretty(file, &report.json()).map_err(Into::into)
         })?;
+        self.pictures.draw_last(&self.simulation)?;
+        gallery::write_curves(&self.folder, self.case, &self.references)?;
         if self.args.quiet { Ok(()) } else { cli::print(&report.to_string()) }
     }
 
@@ -205,6 +214,7 @@ impl<'a, const D: usize> Run<'a, D> {
             self.probes.observe(&self.simulation, &report)?;
             self.solver_log.observe(&self.simulation, &report)?;
             self.snapshots.observe(&self.simulation, &report)?;
+            self.pictures.observe(&self.simulation, &report)?;
             let simulation = &self.simulation;
             self.progress.update(&Status {
                 time: simulation.time,
@@ -307,6 +317,13 @@ fn resume_from(args: &RunArgs, case: &CaseFile) -> Result<Option<(RunFolder, che
     Ok(Some((RunFolder::open(&path)?, state)))
 }
 
+/// What the summary of an earlier part of a run gives as its wall-clock time in s.
+fn wall_time_in(folder: &RunFolder) -> f64 {
+    let summary = std::fs::read(folder.join("summary.json")).ok();
+    let summary = summary.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
+    summary.and_then(|summary| summary["wall_s"].as_f64()).unwrap_or(0.0)
+}
+
 /// A number for what the particles of a case are made from; what else differs is no obstacle to going on.
 fn scene_number(case: &CaseFile) -> u64 {
     let scene = (case.dimension, case.spacing, &case.tank, &case.boxes, &case.fluid.blocks);
@@ -324,17 +341,28 @@ fn newest_run(name: &str) -> Option<PathBuf> {
 }
 
 fn write_run_file(folder: &RunFolder, args: &RunArgs, case: &CaseFile) -> Result<()> {
+    let text = run_file(args, case, rayon::current_num_threads());
+    write_atomic(&folder.join("run.toml"), |file| std::io::Write::write_all(file, text.as_bytes()))
+}
+
+/// The contents of run.toml for a run on this many threads.
+pub(crate) fn run_file(args: &RunArgs, case: &CaseFile, threads: usize) -> String {
     let header = "The case as run, with all defaults: feed it back to repeat the run.";
     let mut text = read::write(case, header);
+    let references = args.references.iter().map(|reference| {
+        let name = reference.name.as_ref().map(|name| format!("{name}=")).unwrap_or_default();
+        toml::Value::from(name + &reference.file.to_string_lossy())
+    });
     let machine = toml::Table::from_iter([
         ("version".to_owned(), env!("CARGO_PKG_VERSION").into()),
         ("petsc".to_owned(), petsc_version().into()),
         ("petsc_options".to_owned(), args.petsc.join(" ").into()),
+        ("references".to_owned(), references.collect::<toml::value::Array>().into()),
         ("system".to_owned(), format!("{} {}", std::env::consts::OS, std::env::consts::ARCH).into()),
-        ("threads".to_owned(), i64::try_from(rayon::current_num_threads()).unwrap_or(i64::MAX).into()),
+        ("threads".to_owned(), i64::try_from(threads).unwrap_or(i64::MAX).into()),
     ]);
     text += &format!("\n[run]\n{machine}");
-    write_atomic(&folder.join("run.toml"), |file| std::io::Write::write_all(file, text.as_bytes()))
+    text
 }
 
 #[cfg(feature = "petsc")]

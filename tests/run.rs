@@ -155,6 +155,24 @@ fn a_resumed_run_is_the_uninterrupted_run() {
     assert!(case.contains("until = 0.3"), "run.toml is the case as run");
 }
 
+#[test]
+fn a_run_leaves_pictures_of_its_snapshots_its_end_and_its_gauges() {
+    let folder = folder();
+    let line = "still_water_2d --spacing 0.05 --until 0.02 --snapshots 0,0.01 --out out --threads 1";
+    done(&folder, line);
+    let mut names: Vec<_> = contents(&folder.path().join("out/pictures")).into_keys().collect();
+    names.retain(|name| name.to_string_lossy() != format!("t{:.6}.png", end_of(&folder)));
+    let wanted = ["energy.png", "h_middle_m.png", "p_bottom_pa.png", "t0.000000.png", "t0.010000.png"];
+    assert_eq!(names, wanted.map(PathBuf::from));
+    assert!(folder.path().join(format!("out/pictures/t{:.6}.png", end_of(&folder))).is_file());
+    done(&folder, &format!("{line} --force"));
+}
+
+/// Flow time in s at which the run in `out` ended.
+fn end_of(folder: &TempDir) -> f64 {
+    summary(&folder.path().join("out"))["time_s"].as_f64().unwrap()
+}
+
 /// Starts a run, waits for its first checkpoint, and sends it a signal.
 fn interrupted(folder: &TempDir, line: &str, signal: &str) -> Output {
     let mut child: Child =

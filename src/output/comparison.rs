@@ -117,6 +117,15 @@ impl<'a> References<'a> {
         })
     }
 
+    /// Names and values over times in s of the measured series that a column of a run's tables is compared with.
+    pub fn measured_in(&self, column: &str) -> impl Iterator<Item = (&str, &[(f64, f64)])> {
+        let series = self
+            .series
+            .iter()
+            .filter(move |series| column_of(&series.reference.quantity, [column]).is_some());
+        series.map(|series| (series.reference.name.as_str(), series.data.as_slice()))
+    }
+
     /// Compares the tables in the folder of a run.
     ///
     /// # Errors
@@ -320,7 +329,7 @@ impl Columns {
         Ok(Self { file, columns: names.into_iter().map(str::to_owned).zip(columns).collect() })
     }
 
-    fn names(&self) -> impl Iterator<Item = &str> {
+    pub(super) fn names(&self) -> impl Iterator<Item = &str> {
         self.columns.keys().map(String::as_str)
     }
 
@@ -331,10 +340,15 @@ impl Columns {
         })
     }
 
+    /// All rows of two columns.
+    pub(super) fn rows(&self, first: &str, second: &str) -> Result<Vec<(f64, f64)>> {
+        Ok(self.column(first)?.iter().copied().zip(self.column(second)?.iter().copied()).collect())
+    }
+
     /// Rows that have numbers in both columns.
-    fn pairs(&self, first: &str, second: &str) -> Result<Vec<Point>> {
-        let pairs = self.column(first)?.iter().copied().zip(self.column(second)?.iter().copied());
-        Ok(pairs.filter(|(a, b)| a.is_finite() && b.is_finite()).collect())
+    fn pairs(&self, first: &str, second: &str) -> Result<Vec<(f64, f64)>> {
+        let rows = self.rows(first, second)?.into_iter();
+        Ok(rows.filter(|(a, b)| a.is_finite() && b.is_finite()).collect())
     }
 }
 

@@ -22,6 +22,7 @@ const CONTENTS: &[&str] = &[
     "bodies.csv",
     "solver.csv",
     "comparison.csv",
+    "pictures",
     "checkpoint",
     "systems",
 ];

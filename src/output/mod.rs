@@ -1,7 +1,8 @@
 //! What a run leaves behind: its folder, particle files, tables, checkpoints, and the line on the terminal.
 //!
 //! [`folder`], [`vtk`], [`table`], [`checkpoint`] and [`progress`] know no SPH: callers hand over names, numbers and times
-//! in seconds. [`quantities`], [`probes`], [`forces`], [`observers`], [`comparison`] and [`restart`] look at a simulation with them.
+//! in seconds. [`quantities`], [`probes`], [`forces`], [`observers`], [`comparison`], [`restart`] and [`picture`] look at a
+//! simulation with them.
 //! Every file but the growing tables goes through [`write_atomic`], so that it appears whole or not at all.
 
 pub mod checkpoint;
@@ -10,6 +11,7 @@ pub mod exact_log;
 pub mod folder;
 pub mod forces;
 pub mod observers;
+pub mod picture;
 pub mod probes;
 pub mod progress;
 pub mod quantities;

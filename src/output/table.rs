@@ -1,6 +1,6 @@
 //! Tables that grow during a run: CSV with units in the header, first column `time_s`.
 
-use std::fmt::Write as _;
+use std::fmt::{self, Write as _};
 use std::fs::{self, File, OpenOptions};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -23,6 +23,21 @@ pub enum Cell<'a> {
     Count(u64),
     /// A word, also where there is nothing to measure: a dry gauge says `dry`, not 0.
     Word(&'a str),
+}
+
+impl fmt::Display for Cell<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            // `{:?}` is the shortest text that reads back exactly, with an exponent where that is shorter.
+            Self::Number(value) => write!(f, "{value:?}"),
+            Self::Count(value) => write!(f, "{value}"),
+            // Quoted where it would read as several cells (RFC 4180).
+            Self::Word(value) if value.contains([',', '"']) => {
+                write!(f, "\"{}\"", value.replace('"', "\"\""))
+            }
+            Self::Word(value) => f.write_str(value),
+        }
+    }
 }
 
 impl From<f64> for Cell<'_> {
@@ -109,17 +124,7 @@ impl Table {
         );
         for (column, cell) in cells.iter().enumerate() {
             let separator = if column == 0 { "" } else { "," };
-            // `{:?}` is the shortest text that reads back exactly, with an exponent where that is shorter.
-            match cell {
-                Cell::Number(value) => write!(self.pending, "{separator}{value:?}"),
-                Cell::Count(value) => write!(self.pending, "{separator}{value}"),
-                // Quoted where it would read as several cells (RFC 4180).
-                Cell::Word(value) if value.contains([',', '"']) => {
-                    write!(self.pending, "{separator}\"{}\"", value.replace('"', "\"\""))
-                }
-                Cell::Word(value) => write!(self.pending, "{separator}{value}"),
-            }
-            .expect("writing to a string does not fail");
+            write!(self.pending, "{separator}{cell}").expect("writing to a string does not fail");
         }
         self.pending.push('\n');
         if self.pending.len() > FLUSH_SIZE || self.flushed.elapsed() > FLUSH_INTERVAL {
