@@ -1,8 +1,8 @@
 //! Neighbour search: a cell list with particles sorted by cell, and from it rows of neighbours (CSR) with the two
 //! kernel factors of each pair.
 //!
-//! A pair (a, b) is listed in row a if 0 < |r_a - r_b| < support. Each row holds its neighbours in cell order;
-//! the result does not depend on the number of threads.
+//! A pair (a, b) is listed in row a if 0 < |r_a - r_b| < support. Each row holds its liquid neighbours, then its solid
+//! ones, both in cell order; the result does not depend on the number of threads.
 
 use crate::kernel::{CubicSpline, Kernel, KernelKind, Quintic, Smoothing, WendlandC2};
 use crate::particles::Vector;
@@ -310,6 +310,18 @@ impl<'a> Row<'a> {
     /// sum_b W_ab in 1/m^D.
     pub fn kernel_sum(self) -> f64 {
         self.kernel.iter().sum()
+    }
+
+    /// The liquid neighbours, which come first, and the solid ones, numbered below `solids`.
+    #[inline]
+    pub fn split(self, solids: usize) -> (Self, Self) {
+        let liquid = self.index.partition_point(|&b| b as usize >= solids);
+        let part = |range: std::ops::Range<usize>| Self {
+            index: &self.index[range.clone()],
+            kernel: &self.kernel[range.clone()],
+            gradient: &self.gradient[range],
+        };
+        (part(0..liquid), part(liquid..self.index.len()))
     }
 
     /// (b, W_ab, F_ab) of each neighbour.

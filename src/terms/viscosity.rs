@@ -17,6 +17,24 @@ pub fn no_slip_difference<const D: usize>(v_aw: Vector<D>, distance_a: f64, dist
     factor.min(LARGEST_FACTOR) * v_aw
 }
 
+/// Velocity difference in m/s that a pair of fluid particle a and solid particle `b` contributes: none where liquid
+/// slips.
+pub fn wall_difference<const D: usize>(
+    particles: &Particles<D>,
+    b: usize,
+    r_ab: &Vector<D>,
+    v_ab: Vector<D>,
+    slip: Slip,
+) -> Vector<D> {
+    match slip {
+        Slip::Free => Vector::zeros(),
+        Slip::None => {
+            let behind = particles.depth[b];
+            no_slip_difference(v_ab, r_ab.dot(&particles.normal[b]) - behind, behind)
+        }
+    }
+}
+
 /// Laplacian of the velocity at fluid particle `a`, in 1/(m s).
 pub fn laplacian<const D: usize>(
     surroundings: &Surroundings<'_, D>,
@@ -28,14 +46,8 @@ pub fn laplacian<const D: usize>(
     let mut sum = Vector::zeros();
     for (b, r_ab, vf) in surroundings.active(a) {
         let v_ab = v_a - particles.velocity[b];
-        let difference = match (b < solids, slip) {
-            (false, _) => v_ab,
-            (true, Slip::Free) => continue,
-            (true, Slip::None) => {
-                let behind = particles.depth[b];
-                no_slip_difference(v_ab, r_ab.dot(&particles.normal[b]) - behind, behind)
-            }
-        };
+        let difference =
+            if b < solids { wall_difference(particles, b, &r_ab, v_ab, slip) } else { v_ab };
         sum += 2.0 * vf * difference;
     }
     sum
