@@ -66,6 +66,11 @@ pub fn isph(case: &CaseFile) -> isph::Method {
 /// Speed of sound over the greatest speed to be expected: the density then varies by about its inverse square.
 const SOUND_RATIO: f64 = 10.0;
 
+/// Reach, in spacings, of the repulsion that backs walls with a pressure. A row of liquid at a wall is 1 away from it and
+/// feels nothing; one that slips through the pressure is stopped 0.19 in front of the wall's face between two wall
+/// particles (0.35 in front of one). At half of it the face lies open; twice it would bear water at rest.
+const GUARD: f64 = 0.85;
+
 /// The WCSPH method of a case, for the liquid as it starts.
 pub fn wcsph<const D: usize>(case: &CaseFile, scene: &Scene<D>) -> wcsph::Method {
     let Scene { particles, params, .. } = scene;
@@ -89,7 +94,8 @@ pub fn wcsph<const D: usize>(case: &CaseFile, scene: &Scene<D>) -> wcsph::Method
     wcsph::Method {
         sound_speed: scheme.sound_speed.unwrap_or(SOUND_RATIO * expected),
         artificial_viscosity: scheme.artificial_viscosity,
-        repulsion: plain.then(|| Repulsion::new(gravity, depth, speed, params.spacing)),
+        wall_pressure: !plain,
+        repulsion: Repulsion::new(gravity, depth, speed, if plain { 1.0 } else { GUARD } * params.spacing),
         density_diffusion: if plain { DiffusionKind::None } else { scheme.density_diffusion },
         density_diffusion_coefficient: scheme.density_diffusion_coefficient,
         shifting: if plain { 0.0 } else { scheme.shifting },

@@ -196,7 +196,7 @@ impl SchemeParams {
             smoothing_ratio: 1.2,
             laplacian: LaplacianKind::Schwaiger,
             sound_speed: None,
-            artificial_viscosity: if kind == SchemeKind::WcsphMonaghan { 0.01 } else { 0.02 },
+            artificial_viscosity: if kind == SchemeKind::WcsphMonaghan { 0.1 } else { 0.02 },
             density_diffusion: DiffusionKind::Fourtakas,
             density_diffusion_coefficient: 0.1,
             stepping: Stepping::Symplectic,

@@ -59,8 +59,10 @@ pub struct Method {
     pub sound_speed: f64,
     /// Coefficient alpha of the artificial viscosity.
     pub artificial_viscosity: f64,
-    /// Repulsive walls; without, walls carry a pressure extrapolated from the liquid.
-    pub repulsion: Option<Repulsion>,
+    /// Walls carry a pressure extrapolated from the liquid.
+    pub wall_pressure: bool,
+    /// The force of the first layer of walls on liquid that comes too close.
+    pub repulsion: Repulsion,
     /// Form of the density diffusion.
     pub density_diffusion: DiffusionKind,
     /// Coefficient delta of the density diffusion.
@@ -107,11 +109,13 @@ struct Rates<const D: usize> {
     continuity: f64,
     /// drho/dt by diffusion, in kg/(m3 s).
     diffusion: f64,
+    /// Position divergence over V, in 1/m^D: how much of the support is filled.
+    filling: f64,
 }
 
 impl<const D: usize> Default for Rates<D> {
     fn default() -> Self {
-        Self { acceleration: Vector::zeros(), continuity: 0.0, diffusion: 0.0 }
+        Self { acceleration: Vector::zeros(), continuity: 0.0, diffusion: 0.0, filling: 0.0 }
     }
 }
 
@@ -183,7 +187,7 @@ impl<const D: usize> Wcsph<D> {
     /// Neighbours of liquid and of solids near it, and which walls are wet.
     fn survey(&mut self, particles: &Particles<D>) {
         // Any liquid at all gives a solid its row; dummies of repulsive walls do nothing.
-        let rows = if self.method.repulsion.is_some() { particles.walls().end } else { particles.solids() };
+        let rows = if self.method.wall_pressure { particles.solids() } else { particles.walls().end };
         let solids = particles.solids();
         let threshold = |a| match a {
             a if a < rows => f64::MIN_POSITIVE,
@@ -194,7 +198,7 @@ impl<const D: usize> Wcsph<D> {
         self.neighbors.search(kernel, h, &particles.position, solids, threshold);
         self.walls.mark_active(particles, &self.neighbors, &mut self.wet);
         self.active.clone_from(&self.wet);
-        if self.method.repulsion.is_some() {
+        if !self.method.wall_pressure {
             self.active[..solids].fill(false);
         }
     }
@@ -227,7 +231,7 @@ impl<const D: usize> Wcsph<D> {
             *p = state_equation.pressure(*rho);
             *push = *p / (rho * rho);
         });
-        if self.method.repulsion.is_some() {
+        if !self.method.wall_pressure {
             return;
         }
         let (neighbors, position, gravity) = (&self.neighbors, &particles.position, &self.params.gravity);
@@ -253,13 +257,13 @@ impl<const D: usize> Wcsph<D> {
     /// rho += dt drho/dt by Eq. (2) alone.
     fn continuity(&mut self, particles: &Particles<D>, dt: f64) {
         let (first, mass) = (particles.solids(), self.params.mass());
-        let repulsive = self.method.repulsion.is_some();
+        let wall_pressure = self.method.wall_pressure;
         let (neighbors, position, velocity) = (&self.neighbors, &particles.position, &particles.velocity);
         self.density[first..].par_iter_mut().enumerate().with_min_len(256).for_each(|(k, density)| {
             let a = first + k;
             let (r_a, v_a) = (position[a], velocity[a]);
             let row = neighbors.row(a);
-            let row = if repulsive { row.split(first).0 } else { row };
+            let row = if wall_pressure { row } else { row.split(first).0 };
             let pair = |(b, _, f): (usize, f64, f64)| f * (v_a - velocity[b]).dot(&(r_a - position[b]));
             *density += dt * mass * row.iter().map(pair).sum::<f64>();
         });
@@ -295,29 +299,26 @@ impl<const D: usize> Wcsph<D> {
         excess: impl Fn(&Self, usize, usize, &Vector<D>) -> f64 + Sync,
     ) {
         let (mut rates, mut surface) = (std::mem::take(&mut self.rates), std::mem::take(&mut self.surface));
-        let first = particles.solids();
+        let (first, walls) = (particles.solids(), particles.walls().end);
         let pairs = self.pairs();
         (&mut rates, &mut surface[first..]).into_par_iter().enumerate().with_min_len(256).for_each(
             |(k, (rates, surface))| {
                 let a = first + k;
                 let (liquid, solid) = self.neighbors.row(a).split(first);
-                let mut divergence = 0.0;
                 *rates = Rates { acceleration: self.params.gravity, ..Rates::default() };
-                pairs.add_liquid(self, particles, a, liquid, rates, &mut divergence, &excess);
-                match self.method.repulsion {
-                    Some(repulsion) => {
-                        let r_a = particles.position[a];
-                        for (b, _, f) in solid.iter() {
-                            let r_ab = r_a - particles.position[b];
-                            divergence -= if self.wet[b] { f * r_ab.norm_squared() } else { 0.0 };
-                            if b < particles.walls().end {
-                                rates.acceleration += repulsion.of(&r_ab);
-                            }
-                        }
-                    }
-                    None => pairs.add_walls(self, particles, a, solid, rates, &mut divergence),
+                pairs.add_liquid(self, particles, a, liquid, rates, &excess);
+                if self.method.wall_pressure {
+                    pairs.add_walls(self, particles, a, solid, rates);
                 }
-                *surface = surface::weight_at::<D>(self.params.volume() * divergence);
+                let r_a = particles.position[a];
+                for (b, _, f) in solid.iter() {
+                    let r_ab = r_a - particles.position[b];
+                    rates.filling -= if self.wet[b] { f * r_ab.norm_squared() } else { 0.0 };
+                    if b < walls {
+                        rates.acceleration += self.method.repulsion.of(&r_ab);
+                    }
+                }
+                *surface = surface::weight_at::<D>(self.params.volume() * rates.filling);
             },
         );
         (self.rates, self.surface) = (rates, surface);
@@ -328,7 +329,6 @@ impl<const D: usize> Wcsph<D> {
         let h = self.params.smoothing_length();
         Pairs {
             mass: self.params.mass(),
-            volume: self.params.volume(),
             laminar: 2.0 * self.params.kinematic_viscosity * self.params.volume(),
             viscosity: ArtificialViscosity::new(artificial_viscosity, sound_speed, h),
             diffusion: DensityDiffusion::new(density_diffusion_coefficient, h, sound_speed),
@@ -436,8 +436,7 @@ impl<const D: usize> Wcsph<D> {
 
     /// The reaction to repulsive walls.
     fn push_walls(&mut self, particles: &Particles<D>) {
-        let Some(repulsion) = self.method.repulsion else { return };
-        let (first, mass) = (particles.solids(), self.params.mass());
+        let (first, mass, repulsion) = (particles.solids(), self.params.mass(), self.method.repulsion);
         let (neighbors, position) = (&self.neighbors, &particles.position);
         self.wall_force.resize(particles.walls().len(), Vector::zeros());
         self.wall_force.par_iter_mut().enumerate().with_min_len(512).for_each(|(w, force)| {
@@ -450,7 +449,6 @@ impl<const D: usize> Wcsph<D> {
 /// The constants of pair sums.
 struct Pairs {
     mass: f64,
-    volume: f64,
     /// 2 nu V.
     laminar: f64,
     viscosity: ArtificialViscosity,
@@ -461,7 +459,6 @@ struct Pairs {
 impl Pairs {
     /// Eqs. (2) and (3) over the liquid neighbours of `a`.
     #[inline]
-    #[allow(clippy::too_many_arguments)]
     fn add_liquid<const D: usize>(
         &self,
         scheme: &Wcsph<D>,
@@ -469,7 +466,6 @@ impl Pairs {
         a: usize,
         row: Row,
         rates: &mut Rates<D>,
-        divergence: &mut f64,
         excess: &impl Fn(&Wcsph<D>, usize, usize, &Vector<D>) -> f64,
     ) {
         let (r_a, v_a) = (particles.position[a], particles.velocity[a]);
@@ -484,11 +480,12 @@ impl Pairs {
             rates.acceleration += f * (self.laminar * v_ab - push * r_ab);
             rates.continuity += self.mass * f * approach;
             rates.diffusion += self.diffusion.of(self.mass / density_b * f, excess(scheme, a, b, &r_ab));
-            *divergence -= f * square;
+            rates.filling -= f * square;
         }
     }
 
-    /// Eqs. (2) and (3) over walls that carry a pressure; where liquid slips, they exert no viscous force.
+    /// Eqs. (2) and (3) over walls that carry a pressure; where liquid slips, they exert no viscous force. A pair in
+    /// tension is cut: a lone particle thinned out in a jet would else be drawn through the wall.
     #[inline]
     fn add_walls<const D: usize>(
         &self,
@@ -497,7 +494,6 @@ impl Pairs {
         a: usize,
         row: Row,
         rates: &mut Rates<D>,
-        divergence: &mut f64,
     ) {
         let (r_a, v_a) = (particles.position[a], particles.velocity[a]);
         for (b, _, f) in row.iter() {
@@ -508,11 +504,10 @@ impl Pairs {
                 Slip::Free => 0.0,
                 Slip::None => self.viscosity.of(approach, square, scheme.density[a]),
             };
-            let push = self.mass * (scheme.push[a] + scheme.push[b] + viscous);
+            let push = self.mass * (scheme.push[a] + scheme.push[b] + viscous).max(0.0);
             let difference = viscosity::wall_difference(particles, b, &r_ab, v_ab, self.slip);
             rates.acceleration += f * (self.laminar * difference - push * r_ab);
             rates.continuity += self.mass * f * approach;
-            *divergence -= if scheme.wet[b] { f * square } else { 0.0 };
         }
     }
 }
