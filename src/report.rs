@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::case::{Arrival, CaseFile};
+use crate::case::{Arrival, CaseFile, SchemeKind};
 use crate::output::comparison::Comparison;
 use crate::output::observers::Energy;
 use crate::particles::Particles;
@@ -107,11 +107,12 @@ impl<const D: usize> Report<'_, D> {
 
     fn used(&self) -> String {
         let scheme = &self.case.scheme;
+        let projects = scheme.kind == SchemeKind::IsphDf;
         let all = [
             ("viscosity", self.case.fluid.kinematic_viscosity > 0.0),
-            ("shifting", scheme.shifting > 0.0),
-            ("pressure clip", scheme.clip_negative_pressure),
-            ("collisions", scheme.collision_distance > 0.0),
+            ("shifting", scheme.shifting > 0.0 && scheme.kind != SchemeKind::WcsphMonaghan),
+            ("pressure clip", scheme.clip_negative_pressure && projects),
+            ("collisions", scheme.collision_distance > 0.0 && projects),
             ("gauges", !self.case.probes.is_empty()),
         ];
         let used: Vec<_> = all.iter().filter(|(_, on)| *on).map(|(name, _)| *name).collect();

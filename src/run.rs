@@ -48,7 +48,9 @@ fn start_threads(threads: Option<usize>) -> Result<()> {
 
 fn run_in<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<()> {
     match case.scheme.kind {
-        SchemeKind::IsphDf | SchemeKind::Wcsph | SchemeKind::WcsphMonaghan => Run::<D>::prepare(args, case)?.finish(),
+        SchemeKind::IsphDf | SchemeKind::Wcsph | SchemeKind::WcsphMonaghan => {
+            Run::<D>::prepare(args, case)?.finish()
+        }
         SchemeKind::PatchTest => run_patch_test::<D>(args, case),
     }
 }

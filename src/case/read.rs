@@ -778,7 +778,8 @@ impl Proof<'_> {
         let velocities = self.case.fluid.blocks.iter().flat_map(|block| &block.velocity);
         let at_rest = self.case.gravity.iter().chain(velocities).all(|component| *component == 0.0);
         if compressible && at_rest && self.case.scheme.sound_speed.is_none() {
-            let complaint = "is missing: nothing moves or falls here that it could follow from, give it in m/s";
+            let complaint =
+                "is missing: nothing moves or falls here that it could follow from, give it in m/s";
             problems.push(Problem::new("scheme.sound_speed", complaint));
         }
     }

@@ -172,7 +172,8 @@ pub struct Fields<'a, const D: usize> {
     pub active: &'a [bool],
     /// Neighbours at the last search.
     pub neighbors: &'a Neighbors<D>,
-    /// Force in N with which liquid pushes each wall particle directly; empty in schemes whose walls carry a pressure.
+    /// Force in N with which liquid pushes each wall particle by repulsion, beside any pressure that walls carry; empty in
+    /// schemes without repulsion.
     pub wall_force: &'a [Vector<D>],
 }
 

@@ -13,11 +13,16 @@
 //!
 //! | | `wcsph_monaghan` (Jian et al. 2016: "equal footing") | `wcsph` |
 //! |---|---|---|
-//! | walls | [`crate::boundary::repulsion`] | [`crate::boundary::extrapolation`], in all layers |
+//! | walls | [`crate::boundary::repulsion`] within a spacing | [`crate::boundary::extrapolation`] in all layers, repulsion within 0.85 spacings |
 //! | density diffusion | none | [`crate::terms::density_diffusion`] |
-//! | laminar viscosity | none at walls | the case's, [`crate::terms::viscosity`] |
+//! | walls' share of (2) and of viscosity | none | as the liquid's; no viscosity where it slips |
 //! | shifting | none | on request, [`crate::terms::shifting`] |
 //! | stepping | predictor and corrector | position Verlet |
+//!
+//! The repulsion behind the wall pressure is a guard: in 4 s of the 2D dam break at a spacing of 0.01 m the pressure alone
+//! lets 8 to 22 of 800 particles creep through a wall, where negative pressures thin the liquid out; with it none.
+//! Shifting is off unless asked for: water at rest stays calm without it, and in the dam break it delays the front (0.328
+//! instead of 0.312 s) and throws particles over the rim.
 //!
 //! **Position Verlet** (Parshikov et al. 2000). With one neighbour search, at the middle,
 //!
@@ -227,10 +232,12 @@ impl<const D: usize> Wcsph<D> {
         let (density_s, density) = self.density.split_at_mut(first);
         let (push_s, push) = self.push.split_at_mut(first);
         let (pressure_s, pressure) = particles.pressure.split_at_mut(first);
-        (pressure as &mut [f64], push, &*density).into_par_iter().with_min_len(1024).for_each(|(p, push, rho)| {
-            *p = state_equation.pressure(*rho);
-            *push = *p / (rho * rho);
-        });
+        (pressure as &mut [f64], push, &*density).into_par_iter().with_min_len(1024).for_each(
+            |(p, push, rho)| {
+                *p = state_equation.pressure(*rho);
+                *push = *p / (rho * rho);
+            },
+        );
         if !self.method.wall_pressure {
             return;
         }
@@ -484,8 +491,7 @@ impl Pairs {
         }
     }
 
-    /// Eqs. (2) and (3) over walls that carry a pressure; where liquid slips, they exert no viscous force. A pair in
-    /// tension is cut: a lone particle thinned out in a jet would else be drawn through the wall.
+    /// Eqs. (2) and (3) over walls that carry a pressure; where liquid slips, they exert no viscous force.
     #[inline]
     fn add_walls<const D: usize>(
         &self,
@@ -504,7 +510,7 @@ impl Pairs {
                 Slip::Free => 0.0,
                 Slip::None => self.viscosity.of(approach, square, scheme.density[a]),
             };
-            let push = self.mass * (scheme.push[a] + scheme.push[b] + viscous).max(0.0);
+            let push = self.mass * (scheme.push[a] + scheme.push[b] + viscous);
             let difference = viscosity::wall_difference(particles, b, &r_ab, v_ab, self.slip);
             rates.acceleration += f * (self.laminar * difference - push * r_ab);
             rates.continuity += self.mass * f * approach;
@@ -578,7 +584,8 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
 
     fn set_state(&mut self, state: &[f64]) -> Option<()> {
         let &[acceleration, largest_variation, steps] = state else { return None };
-        (self.acceleration, self.largest_variation, self.steps) = (acceleration, largest_variation, steps as u64);
+        (self.acceleration, self.largest_variation, self.steps) =
+            (acceleration, largest_variation, steps as u64);
         Some(())
     }
 

@@ -46,8 +46,7 @@ pub fn laplacian<const D: usize>(
     let mut sum = Vector::zeros();
     for (b, r_ab, vf) in surroundings.active(a) {
         let v_ab = v_a - particles.velocity[b];
-        let difference =
-            if b < solids { wall_difference(particles, b, &r_ab, v_ab, slip) } else { v_ab };
+        let difference = if b < solids { wall_difference(particles, b, &r_ab, v_ab, slip) } else { v_ab };
         sum += 2.0 * vf * difference;
     }
     sum
