@@ -102,8 +102,8 @@ fn still_water_stays_calm() {
     assert!(first < 1e-12, "the start is hydrostatic: {first}");
     run_until(&mut simulation, 1.0);
     let (kinetic, pressure) = unrest(&simulation, 0.2);
-    eprintln!("kinetic {kinetic:.2e}, pressure {pressure:.2e}");
-    assert!(kinetic < 1e-4 && pressure < 0.02, "kinetic {kinetic:.2e}, pressure {pressure:.2e}");
+    // Measured: 3.2e-5 and 1.8e-2; about twice of that is allowed.
+    assert!(kinetic < 1e-4 && pressure < 0.04, "kinetic {kinetic:.2e}, pressure {pressure:.2e}");
     let variation = simulation.scheme.compressibility().unwrap().largest_variation;
     assert!(variation < 0.005, "{variation}");
 }
@@ -116,7 +116,7 @@ fn every_diffusion_and_stepping_keeps_still_water_in_its_tank() {
             let (mut simulation, _) = simulation::<2>(&case(TANK, "wcsph", &sets));
             run_until(&mut simulation, 0.2);
             let (kinetic, pressure) = unrest(&simulation, 0.2);
-            eprintln!("{diffusion} {stepping}: kinetic {kinetic:.2e}, pressure {pressure:.2e}");
+            // Measured: at most 2.4e-4 and 4.8e-2, right after the start.
             assert!(kinetic < 1e-3 && pressure < 0.1, "{diffusion} {stepping}: {kinetic:.2e} {pressure:.2e}");
         }
     }
@@ -134,7 +134,6 @@ fn repulsive_walls_bear_still_water() {
     let force: Vector<2> =
         simulation.particles.walls().filter(bottom).map(|w| simulation.scheme.fields().wall_force[w]).sum();
     let weight = params.mass() * 9.81 * simulation.particles.fluid().len() as f64;
-    eprintln!("kinetic {kinetic:.2e}, weight {weight}, force {force}");
     assert!((force.y / -weight - 1.0).abs() < 0.2, "{force} for {weight}");
 }
 
@@ -184,7 +183,7 @@ fn program(folder: &tempfile::TempDir, line: &str) -> Output {
 fn runs_resume_bit_for_bit_and_report_their_sound() {
     let folder = tempfile::tempdir().unwrap();
     for scheme in SCHEMES {
-        let line = format!("dam_break_2d --spacing 0.02 --scheme {scheme} --set output.checkpoint=0.05");
+        let line = format!("dam_break_2d --spacing 0.02 --scheme {scheme} --set output.samples=0.01");
         let done = |rest: &str| {
             let output = program(&folder, &format!("{line} {rest}"));
             assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
