@@ -386,8 +386,8 @@ fn every_shipped_case_runs() {
     for name in list.lines().filter_map(|line| line.split_whitespace().next()) {
         let short = match name {
             "patch_test" => "",
-            name if name.contains("3d") => "--spacing 0.02 --until 0.01",
-            _ => "--until 0.01",
+            name if name.contains("3d") => "--spacing 0.02 --until 0.01 --set output.snapshots=[]",
+            _ => "--until 0.01 --set output.snapshots=[]",
         };
         done(&folder, &format!("{name} {short}"));
         assert!(folder.path().join("out").join(name).join("run.toml").is_file());
