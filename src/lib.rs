@@ -6,7 +6,8 @@
 //! div v = 0,   Dv/Dt = -(1/rho) grad p + nu laplacian v + g,
 //!
 //! by projection: particles carry v, a pressure Poisson equation (PPE) with the corrected Laplacian of Eq. (3) of Jian
-//! et al. makes v divergence-free, and PETSc with hypre solves it.
+//! et al. makes v divergence-free, and PETSc with hypre solves it. The weakly compressible schemes that it is compared
+//! with ([`scheme::wcsph`]) need no PETSc.
 //!
 //! # Notation
 //!
@@ -33,8 +34,9 @@
 //! - `petsc`: the only unsafe code, a thin fence around PETSc (feature `petsc`)
 //! - [`particles`], [`geometry`], [`parallel`], [`halo`], [`neighbors`]: arrays, scenes on a lattice,
 //!   ranks, ghosts, who is near whom
-//! - [`operators`]: density, divergence, gradients, Laplacians; [`terms`]: viscosity, surface, shifting, collisions
-//! - [`boundary`]: walls of dummy particles
+//! - [`operators`]: density, divergence, gradients, Laplacians; [`terms`]: viscosity, state equation, density diffusion, surface,
+//!   shifting, collisions
+//! - [`boundary`]: walls of dummy particles, wall pressure from the liquid, repulsive walls
 //! - [`ppe`]: the pressure equation: matrix, source, solution
 //! - [`scheme`]: one time step; [`simulation`]: the time loop
 //! - [`output`]: particle files, tables, gauges, checkpoints, pictures; [`report`]: the end of a run

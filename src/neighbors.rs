@@ -1,8 +1,8 @@
 //! Neighbour search: a cell list with particles sorted by cell, and from it rows of neighbours (CSR) with the two
 //! kernel factors of each pair.
 //!
-//! A pair (a, b) is listed in row a if 0 < |r_a - r_b| < support. Each row holds its neighbours in cell order;
-//! the result does not depend on the number of threads.
+//! A pair (a, b) is listed in row a if 0 < |r_a - r_b| < support. Each row holds its liquid neighbours, then its solid
+//! ones, both in cell order; the result does not depend on the number of threads.
 
 use crate::kernel::{CubicSpline, Kernel, KernelKind, Quintic, Smoothing, WendlandC2};
 use crate::particles::{Particles, Vector};
@@ -144,6 +144,8 @@ impl<const D: usize> CellList<D> {
 #[derive(Debug, Clone, Default)]
 pub struct Neighbors<const D: usize> {
     start: Vec<usize>,
+    /// Liquid neighbours in each row.
+    liquid: Vec<u32>,
     index: Vec<u32>,
     kernel: Vec<f64>,
     gradient: Vec<f64>,
@@ -161,12 +163,15 @@ pub struct Row<'a> {
     pub kernel: &'a [f64],
     /// F_ab = (dW/dr)/r in 1/m^(D+2): grad_a W_ab = F_ab (r_a - r_b).
     pub gradient: &'a [f64],
+    /// How many of them are liquid.
+    pub liquid: usize,
 }
 
 /// Rows found by one task; buffers live on between steps.
 #[derive(Debug, Clone, Default)]
 struct Chunk {
     count: Vec<u32>,
+    liquid: Vec<u32>,
     index: Vec<u32>,
     kernel: Vec<f64>,
     gradient: Vec<f64>,
@@ -221,8 +226,9 @@ impl<const D: usize> Neighbors<D> {
         let (solid_cells, fluid_cells) = (&self.solid_cells, &self.fluid_cells);
         let limit = support * support;
         self.chunks.par_iter_mut().enumerate().for_each(|(c, chunk)| {
-            let Chunk { count: counts, index, kernel, gradient, hits } = chunk;
+            let Chunk { count: counts, liquid, index, kernel, gradient, hits } = chunk;
             counts.clear();
+            liquid.clear();
             index.clear();
             kernel.clear();
             gradient.clear();
@@ -230,6 +236,7 @@ impl<const D: usize> Neighbors<D> {
                 let least = threshold(a);
                 if least == f64::INFINITY {
                     counts.push(0);
+                    liquid.push(0);
                     continue;
                 }
                 let r_a = position[a];
@@ -270,6 +277,7 @@ impl<const D: usize> Neighbors<D> {
                     gradient.truncate(before);
                 }
                 counts.push((index.len() - before) as u32);
+                liquid.push(fluid.min(index.len() - before) as u32);
             }
         });
         self.join(count);
@@ -278,8 +286,10 @@ impl<const D: usize> Neighbors<D> {
     fn join(&mut self, count: usize) {
         self.start.clear();
         self.start.push(0);
+        self.liquid.clear();
         let mut end = 0;
         for chunk in &self.chunks {
+            self.liquid.extend_from_slice(&chunk.liquid);
             for &n in &chunk.count {
                 end += n as usize;
                 self.start.push(end);
@@ -314,6 +324,7 @@ impl<const D: usize> Neighbors<D> {
             index: &self.index[range.clone()],
             kernel: &self.kernel[range.clone()],
             gradient: &self.gradient[range],
+            liquid: self.liquid[a] as usize,
         }
     }
 
@@ -334,6 +345,18 @@ impl<'a> Row<'a> {
     /// sum_b W_ab in 1/m^D.
     pub fn kernel_sum(self) -> f64 {
         self.kernel.iter().sum()
+    }
+
+    /// The liquid neighbours, which come first, and the solid ones.
+    #[inline]
+    pub fn split(self) -> (Self, Self) {
+        let part = |range: Range<usize>, liquid: usize| Self {
+            index: &self.index[range.clone()],
+            kernel: &self.kernel[range.clone()],
+            gradient: &self.gradient[range],
+            liquid,
+        };
+        (part(0..self.liquid, self.liquid), part(self.liquid..self.index.len(), 0))
     }
 
     /// (b, W_ab, F_ab) of each neighbour.

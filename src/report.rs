@@ -5,12 +5,12 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::case::{Arrival, CaseFile};
+use crate::case::{Arrival, CaseFile, SchemeKind};
 use crate::exact::ErrorMeasure;
 use crate::output::comparison::{ArrivalTime, Comparison, SeriesError};
 use crate::output::observers::Energy;
 use crate::particles::Particles;
-use crate::scheme::Scheme;
+use crate::scheme::{Compressibility, Scheme};
 use crate::simulation::Totals;
 
 /// Everything the end table shows.
@@ -61,6 +61,16 @@ impl<const D: usize> Report<'_, D> {
             })
         });
         let missing = self.comparison.missing.iter().map(|(name, _)| name);
+        let compressibility = self.scheme.compressibility();
+        let mut solver = json!({ "in_force": self.solver });
+        if compressibility.is_none() {
+            solver["mean_iterations"] = self.mean_iterations().into();
+            solver["most_iterations"] = t.most_iterations.into();
+            solver["fallbacks"] = t.fallbacks.into();
+        }
+        let compressibility = compressibility.map(|c| {
+            json!({ "sound_speed_m_per_s": c.sound_speed, "largest_density_variation": c.largest_variation })
+        });
         json!({
             "case": self.case.name,
             "version": env!("CARGO_PKG_VERSION"),
@@ -74,10 +84,8 @@ impl<const D: usize> Report<'_, D> {
                 "fluid": self.particles.fluid().len(), "wall": self.particles.walls().len(),
                 "dummy": self.particles.dummies().len(), "left": t.left, "through_walls": t.through_walls,
             },
-            "solver": {
-                "in_force": self.solver, "mean_iterations": self.mean_iterations(),
-                "most_iterations": t.most_iterations, "fallbacks": t.fallbacks,
-            },
+            "solver": solver,
+            "compressibility": compressibility,
             "energy": {
                 "initial_j": self.energy.initial, "largest_rise_of_initial": self.rise(),
             },
@@ -100,11 +108,12 @@ impl<const D: usize> Report<'_, D> {
 
     fn used(&self) -> String {
         let scheme = &self.case.scheme;
+        let projects = scheme.kind == SchemeKind::IsphDf;
         let all = [
             ("viscosity", self.case.fluid.kinematic_viscosity > 0.0),
-            ("shifting", scheme.shifting > 0.0),
-            ("pressure clip", scheme.clip_negative_pressure),
-            ("collisions", scheme.collision_distance > 0.0),
+            ("shifting", scheme.shifting > 0.0 && scheme.kind != SchemeKind::WcsphMonaghan),
+            ("pressure clip", scheme.clip_negative_pressure && projects),
+            ("collisions", scheme.collision_distance > 0.0 && projects),
             ("gauges", !self.case.probes.is_empty()),
         ];
         let used: Vec<_> = all.iter().filter(|(_, on)| *on).map(|(name, _)| *name).collect();
@@ -130,15 +139,20 @@ impl<const D: usize> fmt::Display for Report<'_, D> {
                 t.through_walls
             ),
         )?;
-        line(
-            "iterations",
-            format!(
-                "{:.1} mean, {} most, {} fallbacks",
-                self.mean_iterations(),
-                t.most_iterations,
-                t.fallbacks
-            ),
-        )?;
+        match self.scheme.compressibility() {
+            Some(Compressibility { largest_variation, .. }) => {
+                line("density", format!("within {:.2} % of the reference", 100.0 * largest_variation))?;
+            }
+            None => line(
+                "iterations",
+                format!(
+                    "{:.1} mean, {} most, {} fallbacks",
+                    self.mean_iterations(),
+                    t.most_iterations,
+                    t.fallbacks
+                ),
+            )?,
+        }
         line("energy", format!("largest rise {:.4} % of the initial", 100.0 * self.rise()))?;
         if t.clipped + t.collisions > 0 {
             line("splash", format!("{} pressures clipped, {} collisions", t.clipped, t.collisions))?;

@@ -17,7 +17,9 @@ use crate::output::{Progress, RunFolder, Status, write_atomic};
 use crate::output::{checkpoint, restart};
 use crate::ppe::PressureSolve;
 use crate::report::Report;
+use crate::scheme::Scheme;
 use crate::scheme::isph::Isph;
+use crate::scheme::wcsph::Wcsph;
 use crate::simulation::{Observer, Simulation, StepControl};
 use crate::{Error, Result, patch_test};
 
@@ -49,7 +51,9 @@ fn start_threads(threads: Option<usize>) -> Result<()> {
 
 fn run_in<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<()> {
     match case.scheme.kind {
-        SchemeKind::IsphDf => Run::<D>::prepare(args, case)?.finish(),
+        SchemeKind::IsphDf | SchemeKind::Wcsph | SchemeKind::WcsphMonaghan => {
+            Run::<D>::prepare(args, case)?.finish()
+        }
         SchemeKind::PatchTest => run_patch_test::<D>(args, case),
     }
 }
@@ -90,13 +94,10 @@ impl<'a, const D: usize> Run<'a, D> {
     /// Everything that can be wrong is found here, before the first file is written.
     fn prepare(args: &'a RunArgs, case: &'a CaseFile) -> Result<Self> {
         let scene = build::scene::<D>(case);
-        let Scene { particles, params, tank, snapped, .. } = &scene;
         let references = References::read(case, &args.reference_files(case)?)?;
         let resumed = resume_from(args, case)?;
-        let solver = pressure_solver(args, particles.fluid().len())?;
-        let described = solver.describe();
-
-        let scheme = Box::new(Isph::new(params.clone(), build::isph(case), particles, solver));
+        let (scheme, described) = scheme(args, case, &scene)?;
+        let Scene { particles, params, tank, snapped, .. } = &scene;
         let control =
             StepControl { fixed: case.time.step, largest: case.time.step_max.unwrap_or(f64::INFINITY) };
         let mut simulation =
@@ -267,6 +268,38 @@ impl<'a, const D: usize> Run<'a, D> {
     }
 }
 
+/// The scheme of a case, and what is in force in it.
+fn scheme<const D: usize>(
+    args: &RunArgs,
+    case: &CaseFile,
+    scene: &Scene<D>,
+) -> Result<(Box<dyn Scheme<D>>, String)> {
+    let Scene { particles, params, .. } = scene;
+    if is_explicit(args, case)? {
+        let method = build::wcsph(case, scene);
+        let described = method.describe();
+        return Ok((Box::new(Wcsph::new(params.clone(), method, particles)), described));
+    }
+    let solver = pressure_solver(args, particles.fluid().len())?;
+    let described = solver.describe();
+    Ok((Box::new(Isph::new(params.clone(), build::isph(case), particles, solver)), described))
+}
+
+/// Whether the scheme solves no pressure system; options for one are then errors.
+fn is_explicit(args: &RunArgs, case: &CaseFile) -> Result<bool> {
+    let explicit = matches!(case.scheme.kind, SchemeKind::Wcsph | SchemeKind::WcsphMonaghan);
+    let name = case.scheme.kind.name();
+    match args.petsc.first() {
+        Some(option) if explicit => Err(Error::Input(format!(
+            "{option} is a PETSc option, and the scheme {name} solves no system: leave it out or choose --scheme isph_df"
+        ))),
+        _ if explicit && !args.save_systems.is_empty() => Err(Error::Input(format!(
+            "--save-systems: the scheme {name} solves no system: leave it out or choose --scheme isph_df"
+        ))),
+        _ => Ok(explicit),
+    }
+}
+
 #[cfg(feature = "petsc")]
 fn pressure_solver(args: &RunArgs, size: usize) -> Result<Box<dyn PressureSolve>> {
     let session = crate::petsc::Session::start(&args.petsc)?;
@@ -281,7 +314,7 @@ fn pressure_solver(args: &RunArgs, size: usize) -> Result<Box<dyn PressureSolve>
 
 #[cfg(not(feature = "petsc"))]
 fn pressure_solver(_: &RunArgs, _: usize) -> Result<Box<dyn PressureSolve>> {
-    let advice = "build with the feature petsc (the default)";
+    let advice = "choose --scheme wcsph or build with the feature petsc (the default)";
     Err(Error::Input(format!("this build leaves PETSc out, and the scheme isph_df needs it: {advice}")))
 }
 
@@ -383,7 +416,9 @@ fn solver_in_force(args: &RunArgs, case: &CaseFile, size: usize) -> Result<Optio
 
 /// What `check` prints: counts, lengths, limits, and what a run would take.
 fn derived<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<String> {
-    let Scene { particles, params, snapped, .. } = build::scene::<D>(case);
+    let scene = build::scene::<D>(case);
+    let Scene { particles, params, snapped, .. } = &scene;
+    let explicit = is_explicit(args, case)?.then(|| build::wcsph(case, &scene));
     let [fluid, walls, dummies] =
         [particles.fluid().len(), particles.walls().len(), particles.dummies().len()];
     // Measured on 2D and 3D scenes: rows of neighbours, matrices and state, a pair costing about 40 bytes twice.
@@ -401,12 +436,20 @@ fn derived<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<String> {
             params.support()
         ),
     );
-    if let Some(solver) = solver_in_force(args, case, fluid)? {
+    let solver = match &explicit {
+        Some(method) => Some(method.describe()),
+        None => solver_in_force(args, case, fluid)?,
+    };
+    if let Some(solver) = solver {
         line("solver", solver.replace('\n', "\n              "));
     }
     let fall = particles.fluid().map(|a| particles.position[a][D - 1]).fold(0.0, f64::max);
     let speed = (2.0 * params.gravity.norm() * fall).sqrt();
-    let dt = case.time.step.unwrap_or_else(|| build::isph(case).dt_limit(&params, speed, 0.0));
+    let limit = match &explicit {
+        Some(method) => method.dt_limit(params, speed, 0.0),
+        None => build::isph(case).dt_limit(params, speed, 0.0),
+    };
+    let dt = case.time.step.unwrap_or(limit.min(case.time.step_max.unwrap_or(f64::INFINITY)));
     let steps = (case.time.until / dt).ceil();
     line(
         "time step",
@@ -417,7 +460,7 @@ fn derived<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<String> {
     let seconds = steps * (fluid + walls) as f64 * if D == 2 { 1.5e-6 } else { 6e-6 };
     line("run time", format!("roughly {seconds:.0} s on one core"));
     for sentence in snapped {
-        line("snapped", sentence);
+        line("snapped", sentence.clone());
     }
     Ok(text)
 }

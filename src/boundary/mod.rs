@@ -14,6 +14,9 @@
 //! particle level with the top row is wet (0.81 of its open support is filled), the one above is dry (0.19).
 //! Half and twice the threshold would wet the wall a whole row above, or leave the top row's neighbour dry.
 
+pub mod extrapolation;
+pub mod repulsion;
+
 use crate::kernel::LatticeSums;
 use crate::neighbors::Neighbors;
 use crate::particles::{Particles, Vector};
@@ -57,9 +60,12 @@ impl<const D: usize> DummyWalls<D> {
 
     /// Marks liquid, wet walls and their dummies in `active` (one entry a particle).
     pub fn mark_active(&self, particles: &Particles<D>, neighbors: &Neighbors<D>, active: &mut Vec<bool>) {
-        let walls = particles.walls().len();
+        let is_wet = |(a, threshold): (usize, &f64)| {
+            let row = neighbors.row(a);
+            !row.index.is_empty() && row.split().0.kernel_sum() >= *threshold
+        };
         active.clear();
-        active.extend((0..walls).map(|a| !neighbors.row(a).index.is_empty()));
+        active.extend(self.threshold.iter().enumerate().map(is_wet));
         for &wall in &particles.tie {
             active.push(active[wall as usize]);
         }

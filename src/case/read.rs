@@ -513,14 +513,24 @@ fn read_tank(r: &Reader) -> Tank {
 }
 
 fn read_scheme(r: &Reader) -> SchemeParams {
-    let default = SchemeParams::default();
+    let kind = r.variant("kind").or(SchemeParams::default().kind);
+    let default = SchemeParams::of(kind);
     SchemeParams {
-        kind: r.variant("kind").or(default.kind),
+        kind,
         kernel: r.variant("kernel").or(default.kernel),
         smoothing_ratio: r
             .number("smoothing_ratio", Range::Within(1.0, 2.0), "spacings")
             .or(default.smoothing_ratio),
         laplacian: r.variant("laplacian").or(default.laplacian),
+        sound_speed: r.number("sound_speed", Range::Positive, "m/s").optional(),
+        artificial_viscosity: r
+            .number("artificial_viscosity", Range::Within(0.0, 1.0), "")
+            .or(default.artificial_viscosity),
+        density_diffusion: r.variant("density_diffusion").or(default.density_diffusion),
+        density_diffusion_coefficient: r
+            .number("density_diffusion_coefficient", Range::Within(0.0, 1.0), "")
+            .or(default.density_diffusion_coefficient),
+        stepping: r.variant("stepping").or(default.stepping),
         density_relaxation: r
             .number("density_relaxation", Range::Within(0.0, 1.0), "")
             .or(default.density_relaxation),
@@ -686,6 +696,7 @@ fn prove(case: &CaseFile, problems: &mut Vec<Problem>) {
     proof.comparisons(problems);
     proof.times(problems);
     proof.liquid(problems);
+    proof.sound(problems);
 }
 
 /// The scene as far as its parts must fit together; each method notes what does not.
@@ -914,6 +925,20 @@ impl Proof<'_> {
         if is_dry && !is_noted {
             let complaint = "is missing: give at least one [[fluid.block]] with min and max";
             problems.push(Problem::new("fluid.block", complaint));
+        }
+    }
+}
+
+impl Proof<'_> {
+    /// A speed of sound follows from a fall or from a first motion.
+    fn sound(&self, problems: &mut Vec<Problem>) {
+        let compressible = matches!(self.case.scheme.kind, SchemeKind::Wcsph | SchemeKind::WcsphMonaghan);
+        let velocities = self.case.fluid.blocks.iter().flat_map(|block| &block.velocity);
+        let at_rest = self.case.gravity.iter().chain(velocities).all(|component| *component == 0.0);
+        if compressible && at_rest && self.case.scheme.sound_speed.is_none() {
+            let complaint =
+                "is missing: nothing moves or falls here that it could follow from, give it in m/s";
+            problems.push(Problem::new("scheme.sound_speed", complaint));
         }
     }
 }

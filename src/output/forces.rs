@@ -9,8 +9,8 @@
 //! water (1) is exact: a floor bears the weight above it, a wall rho g H^2 / 2 per width, a submerged box its
 //! buoyancy. Dry wall particles add nothing, and friction is left out.
 //!
-//! Schemes whose walls act on the liquid by forces of their own report the reaction on each wall particle: then
-//! the force is their sum. A particle in a corner of the tank belongs to several sides, to each with the component along
+//! Schemes whose walls also repel the liquid, or do only that, report the reaction on each wall particle, and it is added. A
+//! particle in a corner of the tank belongs to several sides, to each with the component along
 //! that side's normal.
 
 use crate::case::{CaseFile, Probe, Side, build::side_of};
@@ -63,10 +63,14 @@ impl<const D: usize> Forces<D> {
         };
         let reaction = |(a, counts): &(u32, Vector<D>)| fields.wall_force[*a as usize].component_mul(counts);
         let force = |patch: &Patch<D>| -> Vector<D> {
-            match fields.wall_force.is_empty() {
-                true => patch.faces.iter().map(pressure).sum(),
-                false => patch.members.iter().map(reaction).sum(),
+            let mut force = Vector::zeros();
+            if fields.walls_carry_pressure {
+                force += patch.faces.iter().map(pressure).sum::<Vector<D>>();
             }
+            if !fields.wall_force.is_empty() {
+                force += patch.members.iter().map(reaction).sum::<Vector<D>>();
+            }
+            force
         };
         self.patches.iter().map(force).collect()
     }

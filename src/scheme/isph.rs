@@ -14,7 +14,9 @@
 //! would be conservative, but leave currents thirty to a hundred times stronger in still water. Where the
 //! support is too one-sided the symmetric form takes over.
 
-use super::{Fields, Params, Scheme, Stages, StepReport};
+use super::{
+    ACCELERATION_NUMBER, Fields, Params, Scheme, Stages, StepReport, VISCOUS_NUMBER, drift, fastest, sort,
+};
 use crate::boundary::DummyWalls;
 use crate::case::LaplacianKind;
 use crate::halo::Halo;
@@ -105,18 +107,10 @@ pub struct Isph<const D: usize> {
     stages: Stages,
 }
 
-/// Steps between reorderings of the fluid: often enough to keep neighbours within a few cache lines, rarely enough to
-/// cost nothing.
-const SORT_EVERY: u64 = 20;
-
-/// Acceleration limit of the step: dt <= 0.25 sqrt(h / |a|max) (Monaghan 1992).
-const ACCELERATION_NUMBER: f64 = 0.25;
 /// Gravity-wave limit of the step: dt <= 0.1 sqrt(h / |g|), about a hundredth of the period of the shortest waves that
 /// a surface of particles can carry. At 0.25 a tank with disorder of 0.05 spacings stirs itself up within 4 s (kinetic
 /// energy 4e-6 of the potential and growing); at 0.1 and 0.05 it stays below 1e-6 for 6 s.
 const GRAVITY_WAVE_NUMBER: f64 = 0.1;
-/// Viscous limit of the step: dt <= 0.125 h^2 / nu (Morris et al. 1997).
-const VISCOUS_NUMBER: f64 = 0.125;
 
 impl<const D: usize> Isph<D> {
     /// Scheme for `particles`, with a solver for its pressure systems.
@@ -129,22 +123,9 @@ impl<const D: usize> Isph<D> {
         let lattice = params.lattice_sums();
         let volume = params.volume();
         let mut support = Support { neighbors: Neighbors::default(), active: vec![], volume };
-        let mut halo = Halo::new(params.periodic, params.support());
-        let mut solids = particles.clone();
-        solids.retain_fluid(|_| false);
-        halo.renew(&mut solids);
-        let walls = particles.walls();
-        let all_walls = |a| if walls.contains(&a) { f64::NEG_INFINITY } else { f64::INFINITY };
-        support.neighbors.search(
-            params.kernel,
-            params.smoothing_length(),
-            &solids.position,
-            &Layout::of(&solids),
-            all_walls,
-        );
-        let weight = params.density * params.gravity;
+        let halo = Halo::new(params.periodic, params.support());
         Self {
-            walls: DummyWalls::new(particles, &support.neighbors, &lattice, volume, weight),
+            walls: super::dummy_walls(&params, particles, &lattice, &mut support.neighbors),
             ranks: Ranks,
             halo,
             lattice,
@@ -166,16 +147,6 @@ impl<const D: usize> Isph<D> {
             params,
             method,
         }
-    }
-
-    /// r* = r + dt v; solids move with their own velocity.
-    fn drift(&mut self, particles: &mut Particles<D>, dt: f64) {
-        particles
-            .position
-            .par_iter_mut()
-            .zip(&particles.velocity)
-            .with_min_len(1024)
-            .for_each(|(r, v)| *r += dt * v);
     }
 
     /// Neighbours, wet walls, and the moments of every support.
@@ -337,30 +308,12 @@ impl<const D: usize> Isph<D> {
     }
 
     fn shift(&mut self, particles: &mut Particles<D>, dt: f64) {
-        let first = particles.solids();
         let Params { spacing, gravity, .. } = self.params;
         let h = self.params.smoothing_length();
         let shifting = Shifting::new(self.method.shifting, h, spacing, gravity.norm(), dt);
-        let surroundings = self.support.around(particles);
-        let (moments, velocity, surface) = (&self.moments, &particles.velocity, &self.surface);
-        self.change.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, change)| {
-            *change = shifting.of(&surroundings, velocity, moments, surface, first + k);
-        });
-        for (k, (dr, dv)) in self.change.iter().enumerate() {
-            particles.position[first + k] += dr;
-            particles.velocity[first + k] += dv;
-        }
-    }
-
-    /// Keeps neighbours close in memory: puts the fluid into cell order now and then.
-    fn sort(&mut self, particles: &mut Particles<D>) {
-        particles.drop_ghosts();
-        if self.steps.is_multiple_of(SORT_EVERY) {
-            let first = particles.solids();
-            let support = self.params.support();
-            let order = self.support.neighbors.cell_order(&particles.position[first..], support);
-            particles.reorder_fluid(order, &mut self.reorder);
-        }
+        let (moments, surface) = (&self.moments, &self.surface);
+        shifting.compute(&self.support.around(particles), particles, moments, surface, &mut self.change);
+        Shifting::apply(particles, &self.change);
     }
 }
 
@@ -369,8 +322,9 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         let mut watch = std::mem::take(&mut self.stages);
         let mut report = StepReport::default();
         watch.time("neighbours", || {
-            self.sort(particles);
-            self.drift(particles, dt);
+            let (neighbors, support) = (&mut self.support.neighbors, self.params.support());
+            sort(particles, neighbors, support, self.steps, &mut self.reorder);
+            drift(particles, dt);
             self.survey(particles);
         });
         watch.time("predict", || self.predict(particles, dt));
@@ -397,7 +351,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         // Any short step gives the pressure of a state whose velocity is free of divergence.
         let dt = 0.1 * self.max_dt(particles);
         // The divergence that the pressure answers to shows only as the liquid moves.
-        self.drift(particles, dt);
+        drift(particles, dt);
         self.survey(particles);
         self.has_surface = self.ranks.max(self.surface.iter().copied().fold(0.0, f64::max)) > 0.0;
         self.predict(particles, dt);
@@ -405,7 +359,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         self.solver.check(&self.assembler.system)?;
         self.solver.solve(&mut self.assembler.system)?;
         self.take_pressure(particles);
-        self.drift(particles, -dt);
+        drift(particles, -dt);
         Ok(())
     }
 
@@ -420,8 +374,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
     }
 
     fn max_dt(&self, particles: &Particles<D>) -> f64 {
-        let square = particles.velocity.iter().map(|v| v.norm_squared()).fold(0.0, f64::max);
-        self.method.dt_limit(&self.params, self.ranks.max(square.sqrt()), self.acceleration)
+        self.method.dt_limit(&self.params, self.ranks.max(fastest(particles)), self.acceleration)
     }
 
     fn fields(&self) -> Fields<'_, D> {

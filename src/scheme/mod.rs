@@ -1,14 +1,18 @@
 //! Schemes: what happens in one time step.
 
 pub mod isph;
+pub mod wcsph;
 
 use crate::Result;
+use crate::boundary::DummyWalls;
 use crate::case::Slip;
-use crate::halo::PeriodicBox;
+use crate::halo::{Halo, PeriodicBox};
 use crate::kernel::{CubicSpline, KernelKind, LatticeSums, Quintic, Smoothing, WendlandC2};
-use crate::particles::{Particles, Vector};
+use crate::neighbors::{Layout, Neighbors};
+use crate::particles::{Particles, ReorderScratch, Vector};
 use crate::ppe::SolveRecord;
 use crate::ppe::matrix::NEAR;
+use rayon::prelude::*;
 use std::path::Path;
 use std::time::Duration;
 
@@ -71,6 +75,57 @@ impl<const D: usize> Params<D> {
     }
 }
 
+/// Acceleration limit of the step: dt <= 0.25 sqrt(h / |a|max) (Monaghan 1992).
+const ACCELERATION_NUMBER: f64 = 0.25;
+/// Viscous limit of the step: dt <= 0.125 h^2 / nu (Morris et al. 1997).
+const VISCOUS_NUMBER: f64 = 0.125;
+/// Steps between reorderings of the fluid: often enough to keep neighbours within a few cache lines, rarely enough to
+/// cost nothing.
+const SORT_EVERY: u64 = 20;
+
+/// r += dt v; solids move with their own velocity.
+fn drift<const D: usize>(particles: &mut Particles<D>, dt: f64) {
+    let moving = particles.position.par_iter_mut().zip(&particles.velocity).with_min_len(1024);
+    moving.for_each(|(r, v)| *r += dt * v);
+}
+
+/// Largest speed in m/s.
+fn fastest<const D: usize>(particles: &Particles<D>) -> f64 {
+    particles.velocity.iter().map(|v| v.norm_squared()).fold(0.0, f64::max).sqrt()
+}
+
+/// Keeps neighbours close in memory: puts the fluid into cell order now and then.
+fn sort<const D: usize>(
+    particles: &mut Particles<D>,
+    neighbors: &mut Neighbors<D>,
+    support: f64,
+    step: u64,
+    scratch: &mut ReorderScratch<D>,
+) {
+    particles.drop_ghosts();
+    if step.is_multiple_of(SORT_EVERY) {
+        let order = neighbors.cell_order(&particles.position[particles.solids()..], support);
+        particles.reorder_fluid(order, scratch);
+    }
+}
+
+/// The walls of `particles`, as dry as they are built. `neighbors` is a buffer.
+fn dummy_walls<const D: usize>(
+    params: &Params<D>,
+    particles: &Particles<D>,
+    lattice: &LatticeSums,
+    neighbors: &mut Neighbors<D>,
+) -> DummyWalls<D> {
+    let mut solids = particles.clone();
+    solids.retain_fluid(|_| false);
+    Halo::new(params.periodic, params.support()).renew(&mut solids);
+    let walls = particles.walls();
+    let all_walls = |a| if walls.contains(&a) { f64::NEG_INFINITY } else { f64::INFINITY };
+    let (h, layout) = (params.smoothing_length(), Layout::of(&solids));
+    neighbors.search(params.kernel, h, &solids.position, &layout, all_walls);
+    DummyWalls::new(particles, neighbors, lattice, params.volume(), params.density * params.gravity)
+}
+
 /// A method that advances particles in time.
 pub trait Scheme<const D: usize> {
     /// Advances `particles` by `dt` s. On an error the particles are left as they were at that moment.
@@ -95,24 +150,39 @@ pub trait Scheme<const D: usize> {
     /// Writes the last pressure system, where there is one, into `folder` (made if need be) as `name`.
     fn save_system(&self, folder: &Path, name: &str) -> Result<()>;
 
+    /// How compressible the liquid was, in schemes that let it be.
+    fn compressibility(&self) -> Option<Compressibility> {
+        None
+    }
+
     /// Time spent by stage since the start.
     fn stages(&self) -> &Stages;
+}
+
+/// How compressible a weakly compressible liquid was.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Compressibility {
+    /// Artificial speed of sound in m/s.
+    pub sound_speed: f64,
+    /// Largest |rho / rho_0 - 1| since the start.
+    pub largest_variation: f64,
 }
 
 /// Per-particle results of the last step, beside the state itself. Arrays have one entry a particle.
 #[derive(Debug, Clone, Copy)]
 pub struct Fields<'a, const D: usize> {
-    /// Kernel sum over its value on the regular lattice: 1 in undisturbed liquid.
+    /// Kernel sum over its value on the regular lattice, in compressible liquid rho / rho_0: 1 in undisturbed liquid.
     pub crowding: &'a [f64],
     /// Surface weight, 1 on the free surface and 0 inside.
     pub surface: &'a [f64],
     /// Liquid, and walls where they are wet.
     pub active: &'a [bool],
     /// Neighbours at the last search.
-    pub neighbors: &'a crate::neighbors::Neighbors<D>,
+    pub neighbors: &'a Neighbors<D>,
     /// Whether the pressures of wet walls mean anything; if not, gauges look at the liquid alone.
     pub walls_carry_pressure: bool,
-    /// Force of the liquid on each wall particle in N, in schemes whose walls act by forces of their own; else empty.
+    /// Force in N with which liquid pushes each wall particle by repulsion, beside any pressure that walls carry; empty in
+    /// schemes without repulsion.
     pub wall_force: &'a [Vector<D>],
 }
 

@@ -17,7 +17,8 @@
 //! v(r + dr) = v(r) + dr . grad v, so that shifting does not smear momentum.
 
 use crate::operators::{Moments, Surroundings};
-use crate::particles::{Matrix, Vector};
+use crate::particles::{Matrix, Particles, Vector};
+use rayon::prelude::*;
 
 /// Largest move in spacings.
 const CAP: f64 = 0.1;
@@ -42,6 +43,31 @@ impl Shifting {
             factor: coefficient * smoothing_length * dt,
             least_speed: SPEED_FLOOR * (gravity * spacing).sqrt(),
             cap: CAP * spacing,
+        }
+    }
+
+    /// Moves and changes of velocity of all fluid particles, see [`of`](Self::of), into `moves`.
+    pub fn compute<const D: usize>(
+        &self,
+        surroundings: &Surroundings<'_, D>,
+        particles: &Particles<D>,
+        moments: &[Moments<D>],
+        surface: &[f64],
+        moves: &mut Vec<(Vector<D>, Vector<D>)>,
+    ) {
+        let first = particles.solids();
+        moves.resize(particles.owned() - first, (Vector::zeros(), Vector::zeros()));
+        moves.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, change)| {
+            *change = self.of(surroundings, &particles.velocity, moments, surface, first + k);
+        });
+    }
+
+    /// Carries `moves` out.
+    pub fn apply<const D: usize>(particles: &mut Particles<D>, moves: &[(Vector<D>, Vector<D>)]) {
+        let first = particles.solids();
+        for (k, (dr, dv)) in moves.iter().enumerate() {
+            particles.position[first + k] += dr;
+            particles.velocity[first + k] += dv;
         }
     }
 

@@ -48,7 +48,12 @@ const FLOOR: f64 = 0.3;
 
 /// Surface weight s in [0, 1]: 1 on the surface, 0 inside.
 pub fn weight<const D: usize>(moments: &Moments<D>) -> f64 {
-    let x = (moments.position_divergence() - threshold::<D>()) / TRANSITION;
+    weight_at::<D>(moments.position_divergence())
+}
+
+/// Surface weight of a particle by its position divergence alone.
+pub fn weight_at<const D: usize>(position_divergence: f64) -> f64 {
+    let x = (position_divergence - threshold::<D>()) / TRANSITION;
     0.5 * (1.0 + (std::f64::consts::PI * x.clamp(0.0, 1.0)).cos())
 }
 

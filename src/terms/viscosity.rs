@@ -27,6 +27,24 @@ pub fn no_slip_difference<const D: usize>(v_aw: Vector<D>, distance_a: f64, dist
     factor.min(LARGEST_FACTOR) * v_aw
 }
 
+/// Velocity difference in m/s that a pair of fluid particle a and solid particle `b` contributes: none where liquid
+/// slips.
+pub fn wall_difference<const D: usize>(
+    particles: &Particles<D>,
+    b: usize,
+    r_ab: &Vector<D>,
+    v_ab: Vector<D>,
+    slip: Slip,
+) -> Vector<D> {
+    match slip {
+        Slip::Free => Vector::zeros(),
+        Slip::None => {
+            let behind = particles.depth[b];
+            no_slip_difference(v_ab, r_ab.dot(&particles.normal[b]) - behind, behind)
+        }
+    }
+}
+
 /// Velocity differences that the liquid at fluid particle `a` rubs against: (difference, r_ab, V F_ab) of each neighbour.
 fn pairs<'a, const D: usize>(
     surroundings: &Surroundings<'a, D>,
@@ -35,18 +53,11 @@ fn pairs<'a, const D: usize>(
     slip: Slip,
 ) -> impl Iterator<Item = (Vector<D>, Vector<D>, f64)> + 'a {
     let (v_a, solids) = (particles.velocity[a], particles.solids());
-    surroundings.active(a).filter_map(move |(b, r_ab, vf)| {
+    surroundings.active(a).map(move |(b, r_ab, vf)| {
         let v_ab = v_a - particles.velocity[b];
         let b = particles.original(b);
-        let difference = match (b < solids, slip) {
-            (false, _) => v_ab,
-            (true, Slip::Free) => return None,
-            (true, Slip::None) => {
-                let behind = particles.depth[b];
-                no_slip_difference(v_ab, r_ab.dot(&particles.normal[b]) - behind, behind)
-            }
-        };
-        Some((difference, r_ab, vf))
+        let difference = if b < solids { wall_difference(particles, b, &r_ab, v_ab, slip) } else { v_ab };
+        (difference, r_ab, vf)
     })
 }
 

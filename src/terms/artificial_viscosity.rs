@@ -1,0 +1,45 @@
+//! Artificial viscosity (Monaghan & Gingold 1983; Monaghan 1994) with beta = 0:
+//!
+//! Pi_ab = -alpha c h (v_ab . r_ab) / (rho (r_ab^2 + 0.01 h^2))   while a pair approaches, else zero.
+//!
+//! It takes the place of -sum m Pi_ab grad W in the momentum equation: opposite and equal along the line of centres, so
+//! that linear and angular momentum stay and energy never grows. In smooth flow it acts as a kinematic viscosity of
+//! about alpha c h / 8 in 2D, alpha c h / 10 in 3D (Monaghan 2005), half of that with approaching pairs alone.
+
+/// alpha c h of one liquid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ArtificialViscosity {
+    /// alpha c h in m2/s.
+    factor: f64,
+    /// 0.01 h^2 in m2: keeps the term finite as a pair meets.
+    softening: f64,
+}
+
+impl ArtificialViscosity {
+    /// Viscosity of coefficient alpha for a speed of sound in m/s and a smoothing length in m.
+    pub fn new(alpha: f64, sound_speed: f64, smoothing_length: f64) -> Self {
+        Self {
+            factor: alpha * sound_speed * smoothing_length,
+            softening: 0.01 * smoothing_length * smoothing_length,
+        }
+    }
+
+    /// Pi_ab in m5/(kg s2), from v_ab . r_ab in m2/s, r_ab^2 in m2 and the density in kg/m3.
+    #[inline]
+    pub fn of(&self, approach: f64, square: f64, density: f64) -> f64 {
+        -self.factor * approach.min(0.0) / (density * (square + self.softening))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_approaching_pairs_are_pushed_apart() {
+        let viscosity = ArtificialViscosity::new(0.1, 10.0, 0.01);
+        assert_eq!(viscosity.of(1e-3, 1e-4, 1000.0), 0.0);
+        // 0.1 * 10 * 0.01 * 1e-3 / (1000 * (1e-4 + 1e-6))
+        assert!((viscosity.of(-1e-3, 1e-4, 1000.0) - 1e-5 / 0.101).abs() < 1e-15);
+    }
+}
