@@ -108,7 +108,7 @@ impl<const D: usize> Report<'_, D> {
 
     fn used(&self) -> String {
         let scheme = &self.case.scheme;
-        let projects = scheme.kind == SchemeKind::IsphDf;
+        let projects = scheme.kind.solves();
         let all = [
             ("viscosity", self.case.fluid.kinematic_viscosity > 0.0),
             ("shifting", scheme.shifting > 0.0 && scheme.kind != SchemeKind::WcsphMonaghan),

@@ -51,10 +51,8 @@ fn start_threads(threads: Option<usize>) -> Result<()> {
 
 fn run_in<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<()> {
     match case.scheme.kind {
-        SchemeKind::IsphDf | SchemeKind::Wcsph | SchemeKind::WcsphMonaghan => {
-            Run::<D>::prepare(args, case)?.finish()
-        }
         SchemeKind::PatchTest => run_patch_test::<D>(args, case),
+        _ => Run::<D>::prepare(args, case)?.finish(),
     }
 }
 
@@ -315,7 +313,9 @@ fn pressure_solver(args: &RunArgs, size: usize) -> Result<Box<dyn PressureSolve>
 #[cfg(not(feature = "petsc"))]
 fn pressure_solver(_: &RunArgs, _: usize) -> Result<Box<dyn PressureSolve>> {
     let advice = "choose --scheme wcsph or build with the feature petsc (the default)";
-    Err(Error::Input(format!("this build leaves PETSc out, and the scheme isph_df needs it: {advice}")))
+    Err(Error::Input(format!(
+        "this build leaves PETSc out, and the schemes isph_df and isph_di need it: {advice}"
+    )))
 }
 
 fn create_folder(args: &RunArgs, case: &CaseFile) -> Result<RunFolder> {
@@ -410,7 +410,7 @@ fn petsc_version() -> String {
 
 /// The pressure solver a run would use, where this build has any.
 fn solver_in_force(args: &RunArgs, case: &CaseFile, size: usize) -> Result<Option<String>> {
-    let solves = cfg!(feature = "petsc") && case.scheme.kind == SchemeKind::IsphDf;
+    let solves = cfg!(feature = "petsc") && case.scheme.kind.solves();
     solves.then(|| pressure_solver(args, size).map(|solver| solver.describe())).transpose()
 }
 

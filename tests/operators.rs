@@ -8,7 +8,7 @@ use sphpetsc::operators::{Moments, Surroundings};
 use sphpetsc::parallel::Ranks;
 use sphpetsc::particles::{Matrix, Particles, Vector};
 use sphpetsc::ppe::matrix::{Assembler, Inputs, NO_ROW};
-use sphpetsc::ppe::{Needs, source};
+use sphpetsc::ppe::{Needs, source::Source};
 use sphpetsc::scheme::Params;
 use sphpetsc::terms::surface;
 
@@ -212,7 +212,7 @@ fn still_water<const D: usize>() {
     let source: Vec<_> = (0..water.particles.len())
         .map(|a| {
             let divergence = around.divergence(a, &predicted, &water.moments[a]);
-            source::divergence_free(divergence, 0.0, water.surface[a] > 0.5, 0.0, dt)
+            Source::Blended { gamma: 0.0 }.of(divergence, 0.0, water.surface[a] > 0.5, dt)
         })
         .collect();
     let mut assembler = Assembler::default();

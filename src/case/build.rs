@@ -1,13 +1,17 @@
 //! From a proven case file to particles and scheme parameters of one dimension.
 
-use super::{BlockForm, CaseFile, DiffusionKind, FluidBlock, Probe, SchemeKind, SchemeParams, Side, axes};
+use super::{
+    BlockForm, CaseFile, DiffusionKind, FluidBlock, Probe, SchemeKind, SchemeParams, Side, SourceKind, axes,
+};
 use crate::boundary::repulsion::Repulsion;
 use crate::exact;
 use crate::geometry::{Aabb, BlockShape, Lattice, Shapes, SolidSide, TankShape};
 use crate::halo::PeriodicBox;
 use crate::particles::{Particles, Vector};
+use crate::ppe::source::Source;
 use crate::scheme::{Params, isph, wcsph};
 use crate::terms::collision::Collisions;
+use crate::terms::surface::Criterion;
 
 /// A scene ready to run.
 #[derive(Debug, Clone)]
@@ -89,7 +93,15 @@ pub fn isph(case: &CaseFile) -> isph::Method {
     let SchemeParams { collision_distance, collision_restitution, .. } = case.scheme;
     isph::Method {
         laplacian: case.scheme.laplacian,
-        density_relaxation: case.scheme.density_relaxation,
+        source: match case.scheme.source {
+            SourceKind::Blended => Source::Blended { gamma: case.scheme.density_relaxation },
+            SourceKind::DensityInvariant => Source::DensityInvariant,
+            SourceKind::ErrorCompensating => Source::ErrorCompensating,
+        },
+        surface: match case.scheme.kind {
+            SchemeKind::IsphDi => Criterion::Density,
+            _ => Criterion::PositionDivergence,
+        },
         shifting: case.scheme.shifting,
         clip_negative_pressure: case.scheme.clip_negative_pressure,
         collisions: (collision_distance > 0.0).then_some(Collisions {

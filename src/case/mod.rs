@@ -237,7 +237,9 @@ pub struct SchemeParams {
     pub density_diffusion_coefficient: f64,
     /// How a time step is composed (`wcsph`).
     pub stepping: Stepping,
-    /// Share of the density error corrected per step, gamma of Asai et al. (2012).
+    /// Right-hand side of the pressure equation (ISPH).
+    pub source: SourceKind,
+    /// Share of the density error corrected per step by the source `blended`, gamma of Asai et al. (2012).
     pub density_relaxation: f64,
     /// Shifting coefficient A of Skillen et al. (2013); 0, the default of `wcsph`, leaves shifting out.
     pub shifting: f64,
@@ -270,6 +272,10 @@ impl SchemeParams {
             density_diffusion: DiffusionKind::Fourtakas,
             density_diffusion_coefficient: 0.1,
             stepping: Stepping::Symplectic,
+            source: match kind {
+                SchemeKind::IsphDi => SourceKind::DensityInvariant,
+                _ => SourceKind::Blended,
+            },
             density_relaxation: 0.02,
             shifting: if kind == SchemeKind::Wcsph { 0.0 } else { 2.0 },
             clip_negative_pressure: false,
@@ -287,6 +293,8 @@ impl SchemeParams {
 pub enum SchemeKind {
     /// Divergence-free incompressible SPH (ISPH_DF).
     IsphDf,
+    /// Density-invariant incompressible SPH (ISPH_DI): another source, and the surface is told by the density.
+    IsphDi,
     /// Weakly compressible SPH with density diffusion and extrapolated wall pressures.
     Wcsph,
     /// Weakly compressible SPH of Monaghan (1994): no corrections, repulsive walls.
@@ -296,10 +304,28 @@ pub enum SchemeKind {
 }
 
 impl SchemeKind {
+    /// Whether it solves a pressure equation.
+    pub fn solves(self) -> bool {
+        matches!(self, Self::IsphDf | Self::IsphDi)
+    }
+
     /// The name that a case file or `--scheme` gives it.
     pub fn name(self) -> String {
         self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
     }
+}
+
+/// Right-hand sides of the pressure equation; module [`source`](crate::ppe::source) has the formulas.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
+pub enum SourceKind {
+    /// Divergence, and a share `density_relaxation` of the density error (Asai et al. 2012).
+    Blended,
+    /// Density error (Shao & Lo 2003).
+    DensityInvariant,
+    /// Divergence, and errors in proportion to themselves (Khayyer & Gotoh 2011).
+    ErrorCompensating,
 }
 
 /// Forms of the density diffusion of weakly compressible SPH.

@@ -531,6 +531,7 @@ fn read_scheme(r: &Reader) -> SchemeParams {
             .number("density_diffusion_coefficient", Range::Within(0.0, 1.0), "")
             .or(default.density_diffusion_coefficient),
         stepping: r.variant("stepping").or(default.stepping),
+        source: r.variant("source").or(default.source),
         density_relaxation: r
             .number("density_relaxation", Range::Within(0.0, 1.0), "")
             .or(default.density_relaxation),

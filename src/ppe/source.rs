@@ -1,18 +1,61 @@
 //! Right-hand sides of the pressure equation.
 //!
-//! ISPH_DF (Cummins & Rudman 1999) asks for div v = 0 after the correction: div((1/rho) grad p) = div v* / dt.
-//! Alone it lets small volume errors pile up. So a share gamma of the density-invariant source of Shao & Lo (2003)
-//! is added, the relaxed condition of Asai et al. (2012):
+//! With d = div v*, c = n / n_0 - 1 the error of the density (n the kernel sum and n_0 its value on the regular lattice, both
+//! at the drifted positions), div((1/rho) grad p) is one of
 //!
-//! div((1/rho) grad p) = div v* / dt + gamma (1 - n / n_0) / dt^2
+//! - *blended*: d / dt - gamma c / dt^2. ISPH_DF (Cummins & Rudman 1999) asks for div v = 0 after the correction. Alone
+//!   it lets small volume errors pile up, so a share gamma of the density source is added, the relaxed
+//!   condition of Asai et al. (2012). It takes an error back within 1 / gamma steps; gamma = 0 is plain ISPH_DF.
+//! - *density-invariant*: -c / dt^2. ISPH_DI (Shao & Lo 2003) asks for the density of the lattice. There r* is
+//!   r + dt v*; here it is r + dt v, which lacks the same g dt^2 for liquid and walls alike.
+//! - *error-compensating* (Khayyer & Gotoh 2011): (1 + |c|) d / dt - |d| c / dt. The divergence source with an error
+//!   correction that grows with the errors themselves and has no constant.
 //!
-//! with n the kernel sum and n_0 its value on the regular lattice. On the surface and within a neighbour of it a
-//! kernel sum is small because it is cut off, not because the water expands: there only crowding (n > n_0)
-//! counts. Surface rows carry no source at all, see [`surface`](crate::terms::surface).
+//! On the surface and within a neighbour of it a kernel sum is small because it is cut off, not because the water
+//! expands: there only crowding (c > 0) counts. Surface rows carry no divergence at all, see
+//! [`surface`](crate::terms::surface).
 
-/// Source of one row in 1/s2, with the sign of div((1/rho) grad p): `divergence` is div v* in 1/s, `crowding`
-/// n / n_0 - 1, counted only where positive if `near_surface`.
-pub fn divergence_free(divergence: f64, crowding: f64, near_surface: bool, gamma: f64, dt: f64) -> f64 {
-    let crowding = if near_surface { crowding.max(0.0) } else { crowding };
-    divergence / dt - gamma * crowding / (dt * dt)
+/// What the corrected velocity is asked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Source {
+    /// No divergence, and a share gamma of the density error taken back a step.
+    Blended {
+        /// Share per step.
+        gamma: f64,
+    },
+    /// The density of the lattice.
+    DensityInvariant,
+    /// No divergence, and errors taken back in proportion to themselves.
+    ErrorCompensating,
+}
+
+impl Source {
+    /// Source of one row in 1/s2, with the sign of div((1/rho) grad p): `divergence` d in 1/s, `crowding` c, counted
+    /// only where positive if `near_surface`, and dt in s.
+    pub fn of(self, divergence: f64, crowding: f64, near_surface: bool, dt: f64) -> f64 {
+        let (d, c) = (divergence, if near_surface { crowding.max(0.0) } else { crowding });
+        match self {
+            Self::Blended { gamma } => d / dt - gamma * c / (dt * dt),
+            Self::DensityInvariant => -c / (dt * dt),
+            Self::ErrorCompensating => ((1.0 + c.abs()) * d - d.abs() * c) / dt,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn compressed_liquid_is_pushed_apart_by_every_source() {
+        for source in [Source::Blended { gamma: 0.1 }, Source::DensityInvariant, Source::ErrorCompensating] {
+            // Approaching and crowded: a maximum of pressure, div grad p < 0.
+            assert!(source.of(-1.0, 0.02, false, 0.01) < 0.0, "{source:?}");
+            let thin = source.of(0.0, -0.02, true, 0.01);
+            assert!(thin == 0.0, "{source:?}: a deficit near the surface is truncation");
+        }
+        assert_eq!(Source::Blended { gamma: 0.5 }.of(3.0, 0.02, false, 0.1), 30.0 - 1.0);
+        assert_eq!(Source::DensityInvariant.of(3.0, 0.02, false, 0.1), -2.0);
+        assert!((Source::ErrorCompensating.of(-3.0, 0.02, false, 0.1) - (-30.6 - 0.6)).abs() < 1e-12);
+    }
 }

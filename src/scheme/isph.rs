@@ -25,8 +25,9 @@ use crate::neighbors::{Layout, Neighbors};
 use crate::operators::{Moments, Surroundings};
 use crate::parallel::Ranks;
 use crate::particles::{Particles, ReorderScratch, Vector};
+use crate::ppe::PressureSolve;
 use crate::ppe::matrix::{Assembler, Inputs};
-use crate::ppe::{PressureSolve, source};
+use crate::ppe::source::Source;
 use crate::terms::collision::Collisions;
 use crate::terms::shifting::Shifting;
 use crate::terms::{surface, viscosity};
@@ -39,8 +40,10 @@ use std::path::Path;
 pub struct Method {
     /// Laplacian of the pressure equation.
     pub laplacian: LaplacianKind,
-    /// gamma of the density source.
-    pub density_relaxation: f64,
+    /// Right-hand side of the pressure equation.
+    pub source: Source,
+    /// How a surface particle is told.
+    pub surface: surface::Criterion,
     /// A of the shifting; 0 leaves it out.
     pub shifting: f64,
     /// Sets negative pressures to zero.
@@ -164,7 +167,7 @@ impl<const D: usize> Isph<D> {
         self.surface.resize(count, 0.0);
         self.crowding.resize(count, 0.0);
         let (lattice, first_fluid, dummies) = (&self.lattice, particles.solids(), particles.dummies());
-        let has_surface = self.has_surface;
+        let criterion = self.has_surface.then_some(self.method.surface);
         (&mut self.moments[..owned], &mut self.surface[..owned], &mut self.crowding[..owned])
             .into_par_iter()
             .enumerate()
@@ -175,8 +178,8 @@ impl<const D: usize> Isph<D> {
                     return;
                 }
                 *moments = surroundings.moments(a);
-                *weight = if has_surface { surface::weight(moments) } else { 0.0 };
                 *crowding = (moments.kernel_sum + lattice.own_share) / lattice.kernel_sum;
+                *weight = criterion.map_or(0.0, |criterion| criterion.weight(moments, *crowding));
             });
         self.halo.refresh(particles.originals(), &mut self.moments);
         self.halo.refresh(particles.originals(), &mut self.surface);
@@ -186,7 +189,7 @@ impl<const D: usize> Isph<D> {
     /// v* of liquid and walls, and the source of every pressure row.
     fn predict(&mut self, particles: &Particles<D>, dt: f64) {
         let Params { gravity, kinematic_viscosity: nu, slip, .. } = self.params;
-        let (density_relaxation, lattice) = (self.method.density_relaxation, &self.lattice);
+        let (wanted, lattice) = (self.method.source, &self.lattice);
         let (moments, has_surface) = (&self.moments, self.has_surface);
         let surroundings = self.support.around(particles);
         let (solids, owned) = (particles.solids(), particles.owned());
@@ -214,13 +217,7 @@ impl<const D: usize> Isph<D> {
             let share = moments[a].position_divergence() / D as f64;
             let divergence = (1.0 - surface[a]) * share * surroundings.divergence(a, predicted, &moments[a]);
             let near_surface = surroundings.active(a).any(|(b, ..)| surface[b] > 0.5);
-            *source = source::divergence_free(
-                divergence,
-                crowding[a] - 1.0,
-                near_surface || surface[a] > 0.5,
-                density_relaxation,
-                dt,
-            );
+            *source = wanted.of(divergence, crowding[a] - 1.0, near_surface || surface[a] > 0.5, dt);
         });
     }
 
@@ -293,6 +290,11 @@ impl<const D: usize> Isph<D> {
         }
     }
 
+    fn hold(&self, particles: &mut Particles<D>) -> usize {
+        let hold = |c: Collisions| c.hold(particles, &self.support.neighbors, self.params.spacing);
+        self.method.collisions.map_or(0, hold)
+    }
+
     /// r^(n+1) = r* + (dt / 2) (v^(n+1) - v^n), after collisions have had their say in v^(n+1).
     fn finish_positions(&mut self, particles: &mut Particles<D>, dt: f64) {
         let first = particles.solids();
@@ -341,6 +343,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         if solved.is_ok() && self.method.shifting > 0.0 {
             watch.time("shift", || self.shift(particles, dt));
         }
+        watch.time("correct", || report.collisions += self.hold(particles));
         self.stages = watch;
         report.solve = Some(solved?);
         self.steps += 1;

@@ -4,6 +4,9 @@
 //! distance that still approaches exchanges an impulse along its line of centres with restitution e, so that its
 //! relative normal velocity becomes -e times itself: momentum is conserved and energy never grows. Walls have
 //! infinite mass. Pairs are treated one after the other in a fixed order.
+//!
+//! Between the particles of a wall a single drop on a dry floor would still slip through, as nothing but a collision stops it
+//! there. So a particle that has got behind the face of a wall is put back on it and rebounds.
 
 use crate::neighbors::Neighbors;
 use crate::particles::{Particles, Vector};
@@ -59,5 +62,49 @@ impl Collisions {
             }
         }
         collided
+    }
+
+    /// Keeps the liquid before the faces of walls, at the end of a step. Returns the number of rebounds.
+    pub fn hold<const D: usize>(
+        &self,
+        particles: &mut Particles<D>,
+        neighbors: &Neighbors<D>,
+        spacing: f64,
+    ) -> usize {
+        let (first, walls) = (particles.solids(), particles.walls().end);
+        // Half a cell's diagonal in 3D, rounded up: every place before a flat wall is before one of its particles.
+        let aside = (0.75 * spacing).powi(2);
+        let owned = particles.owned();
+        let mut position = std::mem::take(&mut particles.position);
+        let mut velocity = std::mem::take(&mut particles.velocity);
+        let (solid_position, fluid_position) = position.split_at_mut(first);
+        let (solid_velocity, fluid_velocity) = velocity.split_at_mut(first);
+        let rebounds = (&mut fluid_position[..owned - first], &mut fluid_velocity[..owned - first])
+            .into_par_iter()
+            .enumerate()
+            .with_min_len(256)
+            .map(|(k, (r, v))| {
+                let mut rebounds = 0;
+                let row = neighbors.row(first + k).split().1.index.iter();
+                // Ghosts of walls repeat what their originals do beyond a periodic side: too far away to touch.
+                for w in row.map(|&w| w as usize).filter(|&w| w < walls) {
+                    let (away, normal) = (*r - solid_position[w], particles.normal[w]);
+                    let height = away.dot(&normal);
+                    let gap = height - particles.depth[w];
+                    if gap >= 0.0 || away.norm_squared() - height * height > aside {
+                        continue;
+                    }
+                    let approach = (*v - solid_velocity[w]).dot(&normal);
+                    if approach < 0.0 {
+                        *v -= (1.0 + self.restitution) * approach * normal;
+                        rebounds += 1;
+                    }
+                    *r -= gap * normal;
+                }
+                rebounds
+            })
+            .sum();
+        (particles.position, particles.velocity) = (position, velocity);
+        rebounds
     }
 }

@@ -41,6 +41,34 @@ pub const fn threshold<const D: usize>() -> f64 {
 /// Width of the smooth transition above [`threshold`]; the second lattice row stays clear of it.
 const TRANSITION: f64 = 0.2;
 
+/// Density over that of the lattice below which a particle lies on the surface (the "10 %" of Jian et al. 2016), and the width
+/// of the transition above it: the lattice's second row has 0.97 in 2D.
+const DENSITY: (f64, f64) = (0.9, 0.05);
+
+/// How a surface particle is told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Criterion {
+    /// By its position divergence.
+    PositionDivergence,
+    /// By its density, as in ISPH_DI.
+    Density,
+}
+
+impl Criterion {
+    /// Surface weight s in [0, 1]: 1 on the surface, 0 inside. `crowding` is the density over that of the lattice.
+    pub fn weight<const D: usize>(self, moments: &Moments<D>, crowding: f64) -> f64 {
+        match self {
+            Self::PositionDivergence => weight(moments),
+            Self::Density => fade((crowding - DENSITY.0) / DENSITY.1),
+        }
+    }
+}
+
+/// From 1 at x <= 0 to 0 at x >= 1.
+fn fade(x: f64) -> f64 {
+    0.5 * (1.0 + (std::f64::consts::PI * x.clamp(0.0, 1.0)).cos())
+}
+
 /// In a film or a thread S vanishes by symmetry though both sides are open. So the term (1) is at least this share of
 /// what the missing neighbours would contribute as air at p = 0 half way to them, which at a flat surface is just (1):
 /// there the floor is never reached, and a film keeps a reference pressure.
@@ -53,8 +81,7 @@ pub fn weight<const D: usize>(moments: &Moments<D>) -> f64 {
 
 /// Surface weight of a particle by its position divergence alone.
 pub fn weight_at<const D: usize>(position_divergence: f64) -> f64 {
-    let x = (position_divergence - threshold::<D>()) / TRANSITION;
-    0.5 * (1.0 + (std::f64::consts::PI * x.clamp(0.0, 1.0)).cos())
+    fade((position_divergence - threshold::<D>()) / TRANSITION)
 }
 
 /// Outward unit normal of a surface particle; zero where its support has no preferred side.
