@@ -23,12 +23,13 @@ pub struct Scene<'a, const D: usize> {
 pub type Quantity<const D: usize> = (&'static str, fn(&Scene<D>) -> f64);
 
 /// Columns of history.csv after the time.
-pub fn history<const D: usize>() -> [Quantity<D>; 10] {
+pub fn history<const D: usize>() -> [Quantity<D>; 11] {
     [
         ("front_m", front),
         ("kinetic_energy_j", kinetic_energy),
         ("potential_energy_j", potential_energy),
         ("energy_j", |scene| kinetic_energy(scene) + potential_energy(scene)),
+        ("momentum_kg_m_per_s", momentum),
         ("fastest_m_per_s", fastest),
         ("centre_height_m", centre_height),
         ("largest_crowding", largest_crowding),
@@ -91,6 +92,12 @@ pub fn kinetic_energy<const D: usize>(scene: &Scene<D>) -> f64 {
 pub fn potential_energy<const D: usize>(scene: &Scene<D>) -> f64 {
     let sum: Vector<D> = scene.particles.fluid().map(|a| scene.particles.position[a]).sum();
     -scene.mass * scene.gravity.dot(&sum)
+}
+
+/// Size of the liquid's linear momentum in kg m/s.
+pub fn momentum<const D: usize>(scene: &Scene<D>) -> f64 {
+    let sum: Vector<D> = scene.particles.fluid().map(|a| scene.particles.velocity[a]).sum();
+    scene.mass * sum.norm()
 }
 
 /// Largest speed of the liquid in m/s.

@@ -1,0 +1,81 @@
+//! Flows whose solution is known, at coarse spacings; the figures at finer ones stand in each case's README.
+#![cfg(feature = "petsc")]
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// Runs a case to its end in a folder of its own.
+fn run(line: &str) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sphpetsc"));
+    let output =
+        command.current_dir(&folder).args(line.split_whitespace()).args(["--out", "out"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+    folder
+}
+
+fn summary(folder: &TempDir) -> Value {
+    serde_json::from_str(&fs::read_to_string(folder.path().join("out/summary.json")).unwrap()).unwrap()
+}
+
+/// Largest error of a measure over the run.
+fn error(summary: &Value, name: &str) -> f64 {
+    let errors = summary["errors"].as_array().unwrap();
+    errors.iter().find(|error| error["name"] == name).unwrap()["max"].as_f64().unwrap()
+}
+
+/// A column of one of the run's tables.
+fn column(folder: &TempDir, table: &str, name: &str) -> Vec<f64> {
+    let text = fs::read_to_string(folder.path().join(Path::new("out").join(table))).unwrap();
+    let mut lines = text.lines();
+    let place = lines.next().unwrap().split(',').position(|title| title == name).unwrap();
+    lines.map(|line| line.split(',').nth(place).unwrap().parse().unwrap()).collect()
+}
+
+#[test]
+fn taylor_green_vortices_decay_as_they_should() {
+    let [coarse, fine] = ["0.05", "0.025"].map(|spacing| {
+        let summary =
+            summary(&run(&format!("taylor_green --spacing {spacing} --set time.step_max=1e-3 --until 0.5")));
+        assert!(error(&summary, "amplitude_m_per_s") < 0.01, "{summary}");
+        summary["errors"][1]["rms"].as_f64().unwrap()
+    });
+    assert!(fine < 0.6 * coarse, "velocity errors {coarse} and {fine}");
+}
+
+#[test]
+fn a_stretching_drop_keeps_its_axes_pressure_and_momentum() {
+    let folder = run("stretching_drop --spacing 0.05");
+    let found = summary(&folder);
+    assert!(error(&found, "long_axis_m") < 0.01 && error(&found, "short_axis_m") < 0.01, "{found}");
+    // Pressure wobbles where particles change places: its mean error is what a coarse drop can promise.
+    assert!(found["errors"][2]["rms"].as_f64().unwrap() < 0.03, "{found}");
+    assert_eq!((&found["particles"]["left"], found["clipped_pressures"].as_u64()), (&0.into(), Some(0)));
+    assert_eq!(found["collisions"], 0);
+    // The exact gradient is not pairwise: what it loses is 1e-3 of the momentum of either half of the drop.
+    let momentum = column(&folder, "history.csv", "momentum_kg_m_per_s");
+    let mass = 1000.0 * std::f64::consts::PI;
+    let drift = momentum.iter().map(|now| (now - momentum[0]).abs()).fold(0.0, f64::max) / (mass * 42.0);
+    assert!(drift < 1e-3, "{drift}");
+}
+
+#[test]
+fn a_standing_wave_keeps_its_period_and_damping() {
+    let found = summary(&run("standing_wave --spacing 0.05 --until 3.5"));
+    // At 20 spacings of depth the numerical damping adds three quarters to the physical one; at the case's 50 little.
+    assert!(error(&found, "period") < 0.03 && error(&found, "damping") < 0.9, "{found}");
+    assert_eq!((found["clipped_pressures"].as_u64(), found["collisions"].as_u64()), (Some(0), Some(0)));
+}
+
+#[test]
+fn a_spinning_square_keeps_its_energy_under_suction() {
+    let folder = run("rotating_square --spacing 0.04");
+    let energy = column(&folder, "history.csv", "kinetic_energy_j");
+    let spread = energy.iter().map(|now| (now / energy[0] - 1.0).abs()).fold(0.0, f64::max);
+    assert!(spread < 0.06, "{spread}");
+    assert!(summary(&folder)["particles"]["fluid"] == 625, "no particle is lost");
+}
