@@ -95,7 +95,12 @@ pub fn isph(case: &CaseFile) -> isph::Method {
         laplacian: case.scheme.laplacian,
         source: match case.scheme.source {
             SourceKind::Blended => Source::Blended { gamma: case.scheme.density_relaxation },
-            SourceKind::DensityInvariant => Source::DensityInvariant,
+            SourceKind::DensityInvariant => Source::DensityInvariant {
+                tau: match case.time.step {
+                    Some(_) => 0.0,
+                    None => isph::longest_step(case.scheme.smoothing_ratio * case.spacing, &case.gravity),
+                },
+            },
             SourceKind::ErrorCompensating => Source::ErrorCompensating,
         },
         surface: match case.scheme.kind {

@@ -54,6 +54,12 @@ pub struct Method {
     pub courant: f64,
 }
 
+/// Longest step in s that waves of gravity in m/s2 allow; 0 without gravity, which sets none.
+pub fn longest_step(smoothing_length: f64, gravity: &[f64]) -> f64 {
+    let square: f64 = gravity.iter().map(|g| g * g).sum();
+    if square > 0.0 { GRAVITY_WAVE_NUMBER * (smoothing_length / square.sqrt()).sqrt() } else { 0.0 }
+}
+
 impl Method {
     /// Largest stable time step in s at a largest speed in m/s and a largest acceleration in m/s2.
     pub fn dt_limit<const D: usize>(&self, params: &Params<D>, speed: f64, acceleration: f64) -> f64 {
