@@ -10,8 +10,8 @@ use clap::ValueEnum;
 use toml_edit::{Document, Item, TableLike, Value};
 
 use super::{
-    Arrival, BlockForm, CaseFile, ExactSolution, Fluid, FluidBlock, Normalise, OutputParams, Probe,
-    Reference, SchemeKind, SchemeParams, Side, Slip, SolidBox, Tank, TimeParams,
+    Arrival, BlockForm, CaseFile, ExactSolution, Fluid, FluidBlock, Motion, Normalise, OutputParams, Probe,
+    Profile, Reference, SchemeKind, SchemeParams, Side, Slip, SolidBox, Tank, TimeParams,
 };
 use crate::output::{quantities, table};
 use crate::{Error, Result};
@@ -465,6 +465,7 @@ fn read_case(r: &Reader) -> CaseFile {
         seed: r.whole("seed", 0, i64::MAX).or(0).unsigned_abs(),
         fluid: r.section("fluid", read_fluid),
         tank: r.optional_section("tank", read_tank),
+        motion: r.optional_section("motion", read_motion).flatten(),
         boxes: r.sections("box", |r| SolidBox {
             name: r.name("name").or(r.numbered("box")),
             min: r.vector("min", "m").required(),
@@ -476,6 +477,15 @@ fn read_case(r: &Reader) -> CaseFile {
         time,
         probes: r.sections("probe", read_probe),
         references: r.sections("reference", read_reference),
+        profile: r.optional_section("profile", |r| Profile {
+            name: r.name("name").required(),
+            source: r.text("source", "a citation").required(),
+            file: r.text("file", "the name of a data file").optional(),
+            time_column: r.text("time_column", "the title of a column").required(),
+            x_column: r.text("x_column", "the title of a column").required(),
+            height_column: r.text("height_column", "the title of a column").required(),
+            size: r.number("size", Range::Positive, "m").required(),
+        }),
         arrivals: r.sections("arrival", |r| Arrival {
             quantity: r.name("quantity").required(),
             level: r.number("level", Range::Any, "the quantity's SI unit").required(),
@@ -509,6 +519,36 @@ fn read_tank(r: &Reader) -> Tank {
         open: r.variant_list("open").or(Vec::new()),
         periodic: r.variant_list("periodic").or(Vec::new()),
         slip: r.variant("slip").or(Slip::default()),
+    }
+}
+
+/// `None` after a problem has been noted.
+fn read_motion(r: &Reader) -> Option<Motion> {
+    let columns = 1 + r.dimension;
+    let wanted = format!("rows of {columns} finite numbers, a time in s and accelerations in m/s2, times ascending");
+    let table = r.field("acceleration", wanted, vec![], |item| {
+        let rows = items(item)?.iter().map(floats).collect::<Option<Vec<_>>>()?;
+        let is_row = |row: &Vec<f64>| row.len() == columns && row.iter().all(|value| value.is_finite());
+        let ascends = rows.windows(2).all(|pair| pair[0].first() < pair[1].first());
+        (!rows.is_empty() && rows.iter().all(is_row) && ascends).then_some(rows)
+    });
+    let sine = r.optional_section("sine", |r| Motion::Sine {
+        axis: r.variant("axis").required(),
+        amplitude: r.number("amplitude", Range::Any, "m").required(),
+        period: r.number("period", Range::Positive, "s").required(),
+    });
+    match (table.optional(), sine) {
+        (Some(rows), None) => Some(Motion::Acceleration(rows)),
+        (None, Some(sine)) => Some(sine),
+        (Some(_), Some(_)) => {
+            r.note("sine", "stands beside a table of accelerations: leave one of them out");
+            None
+        }
+        (None, None) => {
+            let complaint = "is missing: give rows [t, ax, ...] of a time in s and accelerations in m/s2, or a sine";
+            r.note("acceleration", complaint);
+            None
+        }
     }
 }
 
@@ -585,7 +625,7 @@ fn read_probe(r: &Reader) -> Probe {
 }
 
 fn read_exact(r: &Reader) -> ExactSolution {
-    const SOLUTIONS: [&str; 3] = ["taylor_green", "stretching_drop", "standing_wave"];
+    const SOLUTIONS: [&str; 5] = ["taylor_green", "stretching_drop", "standing_wave", "sloshing", "ritter"];
     let solution = r.field("solution", format!("one of {SOLUTIONS:?}"), SOLUTIONS[0], |item| {
         SOLUTIONS.into_iter().find(|&solution| item.as_str() == Some(solution))
     });
@@ -596,11 +636,17 @@ fn read_exact(r: &Reader) -> ExactSolution {
         "stretching_drop" => {
             ExactSolution::StretchingDrop { rate: r.number("rate", Range::Positive, "1/s").required() }
         }
+        "ritter" => ExactSolution::Ritter,
+        "sloshing" => ExactSolution::Sloshing { mode: read_mode(r) },
         _ => ExactSolution::StandingWave {
             amplitude: r.number("amplitude", Range::Positive, "m").required(),
-            mode: u32::try_from(r.whole("mode", 1, 1000).or(1)).unwrap_or(1),
+            mode: read_mode(r),
         },
     }
+}
+
+fn read_mode(r: &Reader) -> u32 {
+    u32::try_from(r.whole("mode", 1, 1000).or(1)).unwrap_or(1)
 }
 
 fn read_reference(r: &Reader) -> Reference {
@@ -697,6 +743,8 @@ fn prove(case: &CaseFile, problems: &mut Vec<Problem>) {
     proof.times(problems);
     proof.liquid(problems);
     proof.sound(problems);
+    proof.motion(problems);
+    proof.surfaces(problems);
 }
 
 /// The scene as far as its parts must fit together; each method notes what does not.
@@ -827,7 +875,8 @@ impl Proof<'_> {
 
     fn names(&self, problems: &mut Vec<Problem>) {
         let probes = self.case.probes.iter().map(Probe::name);
-        let references = self.case.references.iter().map(|reference| reference.name.as_str());
+        let profiles = self.case.profile.iter().map(|profile| profile.name.as_str());
+        let references = self.case.references.iter().map(|reference| reference.name.as_str()).chain(profiles);
         let boxes = self.case.boxes.iter().map(|solid| solid.name.as_str());
         let indices =
             [("box", repeated(boxes)), ("probe", repeated(probes)), ("reference", repeated(references))];
@@ -930,6 +979,36 @@ impl Proof<'_> {
 }
 
 impl Proof<'_> {
+    /// An axis that exists, and a tank that moves where the solution needs one.
+    fn motion(&self, problems: &mut Vec<Problem>) {
+        match (&self.case.motion, &self.case.exact) {
+            (Some(Motion::Sine { axis, .. }), _) if *axis as usize >= self.case.dimension => {
+                let complaint = "is z, which only 3D has: use x or y";
+                problems.push(Problem::new("motion.sine.axis", complaint));
+            }
+            (None, Some(ExactSolution::Sloshing { .. })) if !problems.iter().any(|p| is_within(&p.path, "motion")) => {
+                let complaint = "is missing, and nothing sloshes without it: give acceleration or sine";
+                problems.push(Problem::new("motion", complaint));
+            }
+            (_, Some(ExactSolution::Sloshing { mode })) if mode % 2 == 0 => {
+                let complaint = format!("is {mode}: give an odd number, shaking excites no even mode");
+                problems.push(Problem::new("exact.mode", &complaint));
+            }
+            _ => {}
+        }
+    }
+
+    fn surfaces(&self, problems: &mut Vec<Problem>) {
+        if self.case.profile.is_some() && self.case.dimension > 2 {
+            let complaint = "is a line, which only 2D has for a surface: leave it out";
+            problems.push(Problem::new("profile", complaint));
+        }
+        if self.case.exact == Some(ExactSolution::Ritter) && self.case.dimension > 2 {
+            let complaint = "is \"ritter\", which is known in 2D: set dimension = 2";
+            problems.push(Problem::new("exact.solution", complaint));
+        }
+    }
+
     /// A speed of sound follows from a fall or from a first motion.
     fn sound(&self, problems: &mut Vec<Problem>) {
         let compressible = matches!(self.case.scheme.kind, SchemeKind::Wcsph | SchemeKind::WcsphMonaghan);
@@ -1133,7 +1212,8 @@ until = 1
                 "new.key",
                 "1",
                 "--set new.key: new is no key of a case file: use one of dimension, time, name, description, \
-                 spacing, gravity, seed, fluid, tank, box, exact, scheme, output, probe, reference, arrival, run",
+                 spacing, gravity, seed, fluid, tank, motion, box, exact, scheme, output, probe, reference, profile, arrival, \
+                 variant, run",
             ),
             ("fluid", "1", "--set fluid: fluid is 1: write it as one table [fluid]"),
         ] {
