@@ -83,6 +83,9 @@ pub struct RunArgs {
     /// Numerical method
     #[arg(long, value_enum, help_heading = "Case")]
     pub scheme: Option<SchemeKind>,
+    /// Settings that the case describes under [variant.NAME]; other options come after them
+    #[arg(long, value_name = "NAME", help_heading = "Case")]
+    pub variant: Option<String>,
     /// Particle spacing in m
     #[arg(long, value_name = "M", value_parser = metres, allow_negative_numbers = true, help_heading = "Case")]
     pub spacing: Option<f64>,
@@ -149,6 +152,9 @@ pub struct StudyArgs {
     #[arg(long, value_name = "NAME", help_heading = "Study")]
     pub measure: Option<String>,
 
+    /// Settings that the case describes under [variant.NAME]; other options come after them
+    #[arg(long, value_name = "NAME", help_heading = "Case")]
+    pub variant: Option<String>,
     /// Flow time to reach in s
     #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true, help_heading = "Case")]
     pub until: Option<f64>,
@@ -268,7 +274,7 @@ impl RunArgs {
     /// [`Error::Input`] with one line for each problem.
     pub fn load_case(&self) -> Result<CaseFile> {
         let (text, origin) = self.case_source()?;
-        let case = read::read(&text, &origin, &self.overrides())?;
+        let case = read::read_variant(&text, &origin, self.variant.as_deref(), &self.overrides())?;
         self.reference_files(&case)?;
         match self.save_systems.iter().find(|&&time| time > case.time.until) {
             None => Ok(case),
@@ -402,6 +408,7 @@ impl StudyArgs {
     pub fn run(&self) -> RunArgs {
         RunArgs {
             case: self.case.clone(),
+            variant: self.variant.clone(),
             until: self.until,
             seed: self.seed,
             set: self.set.clone(),
@@ -427,6 +434,9 @@ impl RunArgs {
         let mut add = |name: &str, value: &dyn AsRef<OsStr>| {
             tokens.extend([OsString::from(name), value.as_ref().to_owned()]);
         };
+        if let Some(name) = &self.variant {
+            add("--variant", name);
+        }
         for (key, value) in self.overrides() {
             add("--set", &format!("{key}={value}"));
         }

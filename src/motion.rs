@@ -37,9 +37,7 @@ impl<const D: usize> Motion<D> {
     /// Acceleration of the tank in m/s2 at `time` in s.
     pub fn acceleration(&self, time: f64) -> Vector<D> {
         match self {
-            Self::Sine { amplitude, frequency } => {
-                -frequency.powi(2) * (frequency * time).sin() * *amplitude
-            }
+            Self::Sine { amplitude, frequency } => -frequency.powi(2) * (frequency * time).sin() * *amplitude,
             Self::Table(rows) => {
                 let after = rows.partition_point(|(t, _)| *t <= time);
                 match (after.checked_sub(1).map(|k| rows[k]), rows.get(after)) {

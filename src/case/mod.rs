@@ -552,6 +552,8 @@ pub struct Profile {
     pub x_column: String,
     /// Column that holds heights in m.
     pub height_column: String,
+    /// Time in s by which the measured motion lags behind one without a gate: points of time t are compared at t - delay.
+    pub delay: f64,
     /// Length in m that distances are divided by.
     pub size: f64,
 }

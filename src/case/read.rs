@@ -24,6 +24,22 @@ const MOST_PARTICLES: f64 = 2e9;
 /// # Errors
 /// [`Error::Input`] with one line for each problem: what, where, and what to do.
 pub fn read(text: &str, origin: &str, overrides: &[(String, String)]) -> Result<CaseFile> {
+    read_variant(text, origin, None, overrides)
+}
+
+/// [`read()`] of a variant that the case itself describes.
+///
+/// A table `[variant.NAME]` holds keys of the case file as they stand in the file, and tables named like a scheme with keys
+/// for that scheme alone. They replace those of the case, those of the scheme come after the others, and `overrides` last.
+///
+/// # Errors
+/// As [`read()`]; and for a variant that the case does not have.
+pub fn read_variant(
+    text: &str,
+    origin: &str,
+    variant: Option<&str>,
+    overrides: &[(String, String)],
+) -> Result<CaseFile> {
     let document = Document::parse(text).map_err(|error| {
         let line = error.span().map_or(1, |span| line_of(text, span.start));
         let message = error.message().trim().replace('\n', ", ");
@@ -32,11 +48,20 @@ pub fn read(text: &str, origin: &str, overrides: &[(String, String)]) -> Result<
     let mut root = document.as_item().clone();
     let mut problems = Vec::new();
     let mut overridden = Vec::new();
-    for (key, value) in overrides {
+    let of_variant = match variant {
+        Some(name) => changes_of_variant(&root, name, origin, overrides)?,
+        None => vec![],
+    };
+    let labelled = of_variant
+        .iter()
+        .map(|(key, value)| (format!("--variant {}", variant.unwrap_or_default()), key, value));
+    for (label, key, value) in
+        labelled.chain(overrides.iter().map(|(key, value)| (format!("--set {key}"), key, value)))
+    {
         match set(&mut root, key, value) {
-            Ok(path) => overridden.push((path, key.as_str())),
+            Ok(path) => overridden.push((path, label)),
             Err(sentence) => {
-                overridden.push((key.clone(), key.as_str()));
+                overridden.push((key.clone(), label));
                 problems.push(Problem { path: key.clone(), sentence });
             }
         }
@@ -46,6 +71,7 @@ pub fn read(text: &str, origin: &str, overrides: &[(String, String)]) -> Result<
     let mut reader = Reader::new(root.as_table_like(), String::new(), 0, &noted);
     reader.dimension = reader.whole("dimension", 2, 3).required() as usize;
     let mut case = read_case(&reader);
+    reader.item("variant"); // what was asked of it is in the case by now
     reader.item("run"); // how a run was made: for people, not for us
     reader.reject_unknown();
     // A shorter run than the file's simply does not reach its later snapshots.
@@ -65,9 +91,9 @@ pub fn read(text: &str, origin: &str, overrides: &[(String, String)]) -> Result<
             let (start, added) = place(&root, &path);
             let typed = overridden
                 .iter()
-                .find(|(changed, _)| is_within(&path, changed) || added && is_within(changed, &path));
+                .rfind(|(changed, _)| is_within(&path, changed) || added && is_within(changed, &path));
             match (typed, start) {
-                (Some((_, key)), _) => (0, format!("--set {key}: {sentence}")),
+                (Some((_, label)), _) => (0, format!("{label}: {sentence}")),
                 (None, None) => (0, format!("{origin}: {sentence}")),
                 (None, Some(start)) => {
                     let line = line_of(text, start);
@@ -78,6 +104,54 @@ pub fn read(text: &str, origin: &str, overrides: &[(String, String)]) -> Result<
         .collect();
     lines.sort_by_key(|&(line, _)| line);
     Err(Error::Input(lines.into_iter().map(|(_, line)| line).collect::<Vec<_>>().join("\n")))
+}
+
+/// Dotted keys and values that make a case the variant `name` of itself, with the scheme that it then has.
+fn changes_of_variant(
+    root: &Item,
+    name: &str,
+    origin: &str,
+    overrides: &[(String, String)],
+) -> Result<Vec<(String, String)>> {
+    let variants = root.get("variant").and_then(Item::as_table_like);
+    let Some(variant) = variants.and_then(|all| all.get(name)).and_then(Item::as_table_like) else {
+        let known: Vec<_> = variants.into_iter().flat_map(TableLike::iter).map(|(known, _)| known).collect();
+        let advice = match nearest(name, known.iter().copied()) {
+            Some(near) => format!("did you mean {near}?"),
+            None if known.is_empty() => "it has none, leave --variant out".to_owned(),
+            None => format!("use one of {}", known.join(", ")),
+        };
+        return Err(Error::Input(format!("--variant {name}: {origin} has no such variant: {advice}")));
+    };
+    let is_scheme = |key: &str| SchemeKind::from_str(key, false).is_ok();
+    let mut changes = vec![];
+    for (key, item) in variant.iter().filter(|(key, _)| !is_scheme(key)) {
+        flatten(key.to_owned(), item, &mut changes);
+    }
+    let kind_in = |list: &[(String, String)]| {
+        let last = list.iter().rev().find(|(key, _)| key == "scheme.kind");
+        last.map(|(_, value)| value.trim().trim_matches(['"', '\'']).to_owned())
+    };
+    let in_file = root.get("scheme").and_then(|scheme| scheme.get("kind")).and_then(Item::as_str);
+    let kind = kind_in(overrides).or(kind_in(&changes)).or(in_file.map(str::to_owned));
+    let kind = kind.unwrap_or_else(|| SchemeParams::default().kind.name());
+    for (key, item) in variant.get(&kind).and_then(Item::as_table_like).into_iter().flat_map(TableLike::iter)
+    {
+        flatten(key.to_owned(), item, &mut changes);
+    }
+    Ok(changes)
+}
+
+/// Adds the values under `item` with their dotted keys.
+fn flatten(key: String, item: &Item, values: &mut Vec<(String, String)>) {
+    match item.as_table_like() {
+        Some(table) => {
+            for (below, item) in table.iter() {
+                flatten(format!("{key}.{below}"), item, values);
+            }
+        }
+        None => values.push((key, item.to_string())),
+    }
 }
 
 /// The case as TOML with all defaults written out, under `header` as comment lines; [`read`] gives it back equal.
@@ -484,6 +558,7 @@ fn read_case(r: &Reader) -> CaseFile {
             time_column: r.text("time_column", "the title of a column").required(),
             x_column: r.text("x_column", "the title of a column").required(),
             height_column: r.text("height_column", "the title of a column").required(),
+            delay: r.number("delay", Range::Any, "s").or(0.0),
             size: r.number("size", Range::Positive, "m").required(),
         }),
         arrivals: r.sections("arrival", |r| Arrival {
@@ -525,7 +600,8 @@ fn read_tank(r: &Reader) -> Tank {
 /// `None` after a problem has been noted.
 fn read_motion(r: &Reader) -> Option<Motion> {
     let columns = 1 + r.dimension;
-    let wanted = format!("rows of {columns} finite numbers, a time in s and accelerations in m/s2, times ascending");
+    let wanted =
+        format!("rows of {columns} finite numbers, a time in s and accelerations in m/s2, times ascending");
     let table = r.field("acceleration", wanted, vec![], |item| {
         let rows = items(item)?.iter().map(floats).collect::<Option<Vec<_>>>()?;
         let is_row = |row: &Vec<f64>| row.len() == columns && row.iter().all(|value| value.is_finite());
@@ -545,7 +621,8 @@ fn read_motion(r: &Reader) -> Option<Motion> {
             None
         }
         (None, None) => {
-            let complaint = "is missing: give rows [t, ax, ...] of a time in s and accelerations in m/s2, or a sine";
+            let complaint =
+                "is missing: give rows [t, ax, ...] of a time in s and accelerations in m/s2, or a sine";
             r.note("acceleration", complaint);
             None
         }
@@ -986,7 +1063,9 @@ impl Proof<'_> {
                 let complaint = "is z, which only 3D has: use x or y";
                 problems.push(Problem::new("motion.sine.axis", complaint));
             }
-            (None, Some(ExactSolution::Sloshing { .. })) if !problems.iter().any(|p| is_within(&p.path, "motion")) => {
+            (None, Some(ExactSolution::Sloshing { .. }))
+                if !problems.iter().any(|p| is_within(&p.path, "motion")) =>
+            {
                 let complaint = "is missing, and nothing sloshes without it: give acceleration or sine";
                 problems.push(Problem::new("motion", complaint));
             }
@@ -1068,6 +1147,20 @@ until = 1
         let found = problems(SMALL, sets);
         assert_eq!(found.len(), 1, "{found:#?}");
         found[0].clone()
+    }
+
+    #[test]
+    fn variants_of_built_in_cases_read_with_every_scheme() {
+        for (name, text) in builtin::names().map(|name| (name, builtin::find(name).unwrap())) {
+            let document = Document::parse(text).unwrap();
+            let variants = document.get("variant").and_then(Item::as_table_like);
+            for (variant, _) in variants.into_iter().flat_map(TableLike::iter) {
+                for kind in SchemeKind::value_variants() {
+                    let sets = [("scheme.kind".to_owned(), kind.name())];
+                    read_variant(text, name, Some(variant), &sets).unwrap();
+                }
+            }
+        }
     }
 
     #[test]
@@ -1179,6 +1272,59 @@ until = 1
         assert!(case.scheme.clip_negative_pressure);
         assert_eq!(case.tank.unwrap().open, [Side::Top]);
         assert_eq!((case.name.as_str(), case.time.step), ("other", Some(1.0)));
+    }
+
+    #[test]
+    fn a_variant_changes_keys_by_scheme_and_the_user_has_the_last_word() {
+        let text = format!(
+            "{SMALL}\n[variant.fine]\nspacing = 0.05\ntime.step = 1e-3\n[variant.fine.wcsph]\ntime.step = 1e-4\n"
+        );
+        let read =
+            |sets: &[(&str, &str)]| read_variant(&text, "my.toml", Some("fine"), &pairs(sets)).unwrap();
+        let found = |case: CaseFile| (case.spacing, case.time.step);
+        assert_eq!(found(read(&[])), (0.05, Some(1e-3)));
+        assert_eq!(found(read(&[("scheme.kind", "wcsph")])), (0.05, Some(1e-4)));
+        assert_eq!(found(read(&[("scheme.kind", "wcsph"), ("time.step", "2e-4")])), (0.05, Some(2e-4)));
+        assert_eq!(found(super::read(&text, "my.toml", &[]).unwrap()), (0.1, None));
+        let sentence = |name| read_variant(&text, "my.toml", Some(name), &[]).unwrap_err().to_string();
+        assert_eq!(sentence("fin"), "--variant fin: my.toml has no such variant: did you mean fine?");
+        let text = text.replace("1e-3", "-1");
+        assert_eq!(
+            read_variant(&text, "my.toml", Some("fine"), &[]).unwrap_err().to_string(),
+            "--variant fine: time.step is -1: give a finite number > 0 in s"
+        );
+    }
+
+    #[test]
+    fn a_motion_is_proven() {
+        let rows = "[[0, 0, 0], [1, 0.5, 0]]";
+        let table = small(&[("motion.acceleration", rows)]);
+        assert_eq!(table.motion, Some(Motion::Acceleration(vec![vec![0.0; 3], vec![1.0, 0.5, 0.0]])));
+        let sine = "{axis = 'x', amplitude = 0.1, period = 2}";
+        for case in [table, small(&[("motion.sine", sine)])] {
+            assert_eq!(super::read(&write(&case, ""), "run.toml", &[]).unwrap(), case);
+        }
+        for (sets, wanted) in [
+            (
+                &[("motion.acceleration", "[[1, 0, 0], [0, 0, 0]]")][..],
+                "motion.acceleration is [[1, 0, 0], [0, 0, 0]]: give rows of 3 finite numbers",
+            ),
+            (&[("motion.acceleration", "[[1, 0]]")], "give rows of 3 finite numbers"),
+            (&[("motion", "{}")], "motion.acceleration is missing: give rows"),
+            (&[("motion.acceleration", rows), ("motion.sine", sine)], "motion.sine stands beside a table"),
+            (
+                &[("motion.sine", "{axis = 'z', amplitude = 0.1, period = 2}")],
+                "motion.sine.axis is z, which only 3D has",
+            ),
+            (&[("exact", "{solution = 'sloshing'}")], "motion is missing, and nothing sloshes without it"),
+            (
+                &[("exact", "{solution = 'sloshing', mode = 2}"), ("motion.sine", sine)],
+                "exact.mode is 2: give an odd number",
+            ),
+        ] {
+            let found = problem(sets);
+            assert!(found.contains(wanted), "{found}");
+        }
     }
 
     #[test]

@@ -25,7 +25,8 @@ impl<const N: usize> Trajectory<N> {
             let k2 = derivative(t + 0.5 * dt, moved(k1, 0.5 * dt));
             let k3 = derivative(t + 0.5 * dt, moved(k2, 0.5 * dt));
             let k4 = derivative(t + dt, moved(k3, dt));
-            state.push(std::array::from_fn(|i| y[i] + dt / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])));
+            state
+                .push(std::array::from_fn(|i| y[i] + dt / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])));
         }
         Self { state, interval: dt }
     }

@@ -176,7 +176,8 @@ mod tests {
     fn a_driven_wave_answers_slow_shaking_by_the_slope_of_the_surface() {
         // At rest in a steady acceleration the surface slopes by g_x / g, of which mode 1 has the share 4 L / pi^2.
         let rows = "[[0, 0, 0], [20, 0.1, 0]]";
-        let sets = [("motion", &*format!("{{acceleration = {rows}}}")), ("time.until", "20"), ("spacing", "0.05")];
+        let sets =
+            [("motion", &*format!("{{acceleration = {rows}}}")), ("time.until", "20"), ("spacing", "0.05")];
         let (wave, _) = wave("sloshing", &sets);
         let pi = std::f64::consts::PI;
         let slope = 0.05 / 9.81; // at 10 s

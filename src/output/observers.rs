@@ -188,7 +188,9 @@ impl<const D: usize> Probes<D> {
         let (particles, fields) = (&simulation.particles, simulation.scheme.fields());
         let (time, body_force) = (simulation.time, &simulation.body_force);
         if let Some((table, gauges)) = &mut self.gauges {
-            table.row(&[vec![Cell::Number(time)], gauges.read(particles, &fields, body_force, time)].concat())?;
+            table.row(
+                &[vec![Cell::Number(time)], gauges.read(particles, &fields, body_force, time)].concat(),
+            )?;
         }
         if let Some((table, forces)) = &mut self.forces {
             let forces = forces.read(particles, &fields, body_force);

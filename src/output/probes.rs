@@ -389,7 +389,12 @@ until = 1
             walls_carry_pressure,
             wall_force: &[],
         };
-        Gauges::new(&case.probes, &scene.lattice, &particles, &scene.params).read(&particles, &fields, &scene.params.gravity, 0.0)
+        Gauges::new(&case.probes, &scene.lattice, &particles, &scene.params).read(
+            &particles,
+            &fields,
+            &scene.params.gravity,
+            0.0,
+        )
     }
 
     fn pressure(x: f64, y: f64) -> String {

@@ -6,7 +6,8 @@
 //! well defined. That is lenient where spray or enclosed air brings surface particles near: a small distance does not prove that
 //! shapes agree, a large one proves that they do not.
 //!
-//! Each time of the data is compared at the first step that reaches it; errors are over the length that the case names.
+//! Each time of the data, less the delay that the case allows for a gate, is compared at the first step that reaches it; errors
+//! are over the length that the case names.
 
 use std::path::{Path, PathBuf};
 
@@ -29,6 +30,7 @@ pub struct Profiles {
     name: String,
     size: f64,
     spacing: f64,
+    delay: f64,
     path: PathBuf,
     table: Table,
     /// Still to come, the next one last.
@@ -41,8 +43,8 @@ pub struct Profiles {
 /// [`Error::Input`] for a file or column that cannot be read.
 pub fn read(profile: &Profile, file: &Path) -> Result<Measured> {
     let columns = Columns::read(file)?;
-    let [time, x, height] = [&profile.time_column, &profile.x_column, &profile.height_column]
-        .map(|name| columns.column(name));
+    let [time, x, height] =
+        [&profile.time_column, &profile.x_column, &profile.height_column].map(|name| columns.column(name));
     let mut measured: Measured = vec![];
     for ((time, x), height) in time?.iter().zip(x?).zip(height?) {
         if !(time.is_finite() && x.is_finite() && height.is_finite()) {
@@ -81,9 +83,17 @@ impl Profiles {
             Some(time) => Table::resume(&path, &COLUMNS, time)?,
         };
         let mut ahead = measured;
-        ahead.retain(|(time, _)| since.is_none_or(|since| *time > since));
+        ahead.retain(|(time, _)| since.is_none_or(|since| *time - profile.delay > since));
         ahead.reverse();
-        Ok(Self { name: profile.name.clone(), size: profile.size, spacing, path, table, ahead })
+        Ok(Self {
+            name: profile.name.clone(),
+            size: profile.size,
+            delay: profile.delay,
+            spacing,
+            path,
+            table,
+            ahead,
+        })
     }
 
     /// Writes out what is pending.
@@ -109,8 +119,7 @@ impl Profiles {
         }
         let squares: f64 = points.iter().zip(rms).map(|(count, rms)| count * rms * rms).sum();
         let all = (squares / points.iter().sum::<f64>()).sqrt();
-        let mut errors =
-            vec![measure(self.name.clone(), all, largest.iter().copied().fold(0.0, f64::max))];
+        let mut errors = vec![measure(self.name.clone(), all, largest.iter().copied().fold(0.0, f64::max))];
         for ((time, rms), largest) in time.iter().zip(rms).zip(largest) {
             errors.push(measure(format!("{} at {time} s", self.name), *rms, *largest));
         }
@@ -129,7 +138,8 @@ fn distances(points: &[[f64; 2]], particles: &[[f64; 2]], spacing: f64) -> Vec<f
 
 impl<const D: usize> Observer<D> for Profiles {
     fn observe(&mut self, simulation: &Simulation<D>, _: &StepReport) -> Result<()> {
-        while let Some((time, points)) = self.ahead.pop_if(|(time, _)| *time <= simulation.time) {
+        while let Some((time, points)) = self.ahead.pop_if(|(time, _)| *time - self.delay <= simulation.time)
+        {
             let (particles, fields) = (&simulation.particles, simulation.scheme.fields());
             let on_surface = |a: &usize| fields.surface.get(*a).is_some_and(|s| *s > 0.5);
             let surface: Vec<_> = particles
