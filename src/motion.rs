@@ -1,7 +1,9 @@
 //! A tank that is moved: what its liquid feels beside gravity.
 //!
 //! Everything is computed in the frame of the tank, where the walls stand still and the liquid feels g - a(t), with a(t) the
-//! acceleration of the tank in m/s2. At t = 0 liquid moves with the tank.
+//! acceleration of the tank in m/s2. At t = 0 liquid moves with the tank. What schemes estimate from gravity before the first step
+//! (speed of sound, strength of repulsive walls, the limit of runaway speeds) knows nothing of the motion: in a tank shaken at g
+//! or more give `scheme.sound_speed`.
 
 use crate::case::{self, CaseFile};
 use crate::particles::Vector;
