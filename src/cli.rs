@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use clap::error::ErrorKind as ClapKind;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use crate::case::{CaseFile, Reference, SchemeKind, builtin, read};
+use crate::case::{CaseFile, Profile, Reference, SchemeKind, builtin, read};
 use crate::{Error, Result};
 
 const USAGE: &str = "sphpetsc [CASE] [--own-options] [-petsc_options]
@@ -83,6 +83,9 @@ pub struct RunArgs {
     /// Numerical method
     #[arg(long, value_enum, help_heading = "Case")]
     pub scheme: Option<SchemeKind>,
+    /// Settings that the case describes under [variant.NAME]; other options come after them
+    #[arg(long, value_name = "NAME", help_heading = "Case")]
+    pub variant: Option<String>,
     /// Particle spacing in m
     #[arg(long, value_name = "M", value_parser = metres, allow_negative_numbers = true, help_heading = "Case")]
     pub spacing: Option<f64>,
@@ -149,6 +152,9 @@ pub struct StudyArgs {
     #[arg(long, value_name = "NAME", help_heading = "Study")]
     pub measure: Option<String>,
 
+    /// Settings that the case describes under [variant.NAME]; other options come after them
+    #[arg(long, value_name = "NAME", help_heading = "Case")]
+    pub variant: Option<String>,
     /// Flow time to reach in s
     #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true, help_heading = "Case")]
     pub until: Option<f64>,
@@ -268,7 +274,7 @@ impl RunArgs {
     /// [`Error::Input`] with one line for each problem.
     pub fn load_case(&self) -> Result<CaseFile> {
         let (text, origin) = self.case_source()?;
-        let case = read::read(&text, &origin, &self.overrides())?;
+        let case = read::read_variant(&text, &origin, self.variant.as_deref(), &self.overrides())?;
         self.reference_files(&case)?;
         match self.save_systems.iter().find(|&&time| time > case.time.until) {
             None => Ok(case),
@@ -284,24 +290,44 @@ impl RunArgs {
     /// # Errors
     /// [`Error::Input`] for a reference that the case does not have and for a missing file.
     pub fn reference_files<'a>(&'a self, case: &'a CaseFile) -> Result<Vec<(&'a Reference, &'a Path)>> {
-        let names: Vec<_> = case.references.iter().map(|reference| reference.name.as_str()).collect();
+        let files = self.data_files(case)?.into_iter();
+        let reference = |name: &str| case.references.iter().find(|reference| reference.name == name);
+        Ok(files.filter_map(|(name, file)| Some((reference(name)?, file))).collect())
+    }
+
+    /// The profile of `case` with its data file, if it was given.
+    ///
+    /// # Errors
+    /// As [`reference_files`](Self::reference_files).
+    pub fn profile_file<'a>(&'a self, case: &'a CaseFile) -> Result<Option<(&'a Profile, &'a Path)>> {
+        let files = self.data_files(case)?;
+        let file_of = |profile: &Profile| files.iter().rev().find(|(name, _)| *name == profile.name);
+        Ok(case.profile.as_ref().and_then(|profile| Some((profile, file_of(profile)?.1))))
+    }
+
+    /// Names of references and profile that were given data, with their files.
+    fn data_files<'a>(&'a self, case: &'a CaseFile) -> Result<Vec<(&'a str, &'a Path)>> {
+        let references = case.references.iter().map(|reference| (&reference.name, &reference.file));
+        let profile = case.profile.iter().map(|profile| (&profile.name, &profile.file));
+        let all: Vec<_> = references.chain(profile).collect();
+        let names: Vec<_> = all.iter().map(|(name, _)| name.as_str()).collect();
         let known =
             if names.is_empty() { "has none".to_owned() } else { format!("has {}", names.join(", ")) };
         let share_a_file = names.len() == 1
-            || case.references.first().is_some_and(|first| first.file.is_some())
-                && case.references.iter().all(|reference| reference.file == case.references[0].file);
+            || all.first().is_some_and(|(_, file)| file.is_some())
+                && all.iter().all(|(_, file)| *file == all[0].1);
         let mut resolved = Vec::new();
         for ReferenceFile { name, file } in &self.references {
-            let serves = |reference: &&Reference| match name {
-                Some(name) => reference.name == *name,
+            let serves = |known: &&str| match name {
+                Some(name) => *known == name,
                 None => share_a_file,
             };
-            let served: Vec<_> = case.references.iter().filter(serves).collect();
+            let served: Vec<_> = names.iter().copied().filter(serves).collect();
             let problem = match (served.is_empty(), file.is_file()) {
                 (true, _) => format!("write NAME=FILE with the name of a reference; the case {known}"),
                 (_, false) => "there is no such file: correct its path".to_owned(),
                 _ => {
-                    resolved.extend(served.into_iter().map(|reference| (reference, file.as_path())));
+                    resolved.extend(served.into_iter().map(|name| (name, file.as_path())));
                     continue;
                 }
             };
@@ -382,6 +408,7 @@ impl StudyArgs {
     pub fn run(&self) -> RunArgs {
         RunArgs {
             case: self.case.clone(),
+            variant: self.variant.clone(),
             until: self.until,
             seed: self.seed,
             set: self.set.clone(),
@@ -407,6 +434,9 @@ impl RunArgs {
         let mut add = |name: &str, value: &dyn AsRef<OsStr>| {
             tokens.extend([OsString::from(name), value.as_ref().to_owned()]);
         };
+        if let Some(name) = &self.variant {
+            add("--variant", name);
+        }
         for (key, value) in self.overrides() {
             add("--set", &format!("{key}={value}"));
         }

@@ -38,6 +38,7 @@
 //!   shifting, collisions
 //! - [`boundary`]: walls of dummy particles, wall pressure from the liquid, repulsive walls
 //! - [`ppe`]: the pressure equation: matrix, source, solution
+//! - [`motion`]: a tank that is moved
 //! - [`scheme`]: one time step; [`simulation`]: the time loop
 //! - [`output`]: particle files, tables, gauges, checkpoints, pictures; [`report`]: the end of a run
 //! - [`exact`]: flows with a known solution
@@ -54,6 +55,7 @@ pub mod exact;
 pub mod geometry;
 pub mod halo;
 pub mod kernel;
+pub mod motion;
 pub mod neighbors;
 pub mod operators;
 pub mod output;

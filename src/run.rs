@@ -6,13 +6,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use crate::case::build::{self, Scene};
-use crate::case::{CaseFile, SchemeKind, read};
+use crate::case::{CaseFile, Profile, SchemeKind, read};
 use crate::cli::{self, RunArgs};
 use crate::exact;
+use crate::motion::Motion;
 use crate::output::comparison::References;
 use crate::output::exact_log::ExactLog;
 use crate::output::observers::{History, Probes, Snapshots, SolverLog};
 use crate::output::picture::gallery::{self, Pictures};
+use crate::output::profiles::{self, Profiles};
 use crate::output::{Progress, RunFolder, Status, write_atomic};
 use crate::output::{checkpoint, restart};
 use crate::ppe::PressureSolve;
@@ -35,6 +37,7 @@ pub fn run(args: &RunArgs, case: &CaseFile) -> Result<()> {
 /// Validates a case and says what a run would take; writes nothing.
 pub fn check(args: &RunArgs, case: &CaseFile) -> Result<()> {
     References::read(case, &args.reference_files(case)?)?;
+    read_profile(args, case)?;
     cli::print(&match case.dimension {
         2 => derived::<2>(args, case)?,
         _ => derived::<3>(args, case)?,
@@ -73,6 +76,7 @@ struct Run<'a, const D: usize> {
     history: History<D>,
     exact: Option<ExactLog<D>>,
     probes: Probes<D>,
+    profiles: Option<Profiles>,
     solver_log: SolverLog,
     snapshots: Snapshots<D>,
     pictures: Pictures<D>,
@@ -93,6 +97,7 @@ impl<'a, const D: usize> Run<'a, D> {
     fn prepare(args: &'a RunArgs, case: &'a CaseFile) -> Result<Self> {
         let scene = build::scene::<D>(case);
         let references = References::read(case, &args.reference_files(case)?)?;
+        let measured = read_profile(args, case)?;
         let resumed = resume_from(args, case)?;
         let (scheme, described) = scheme(args, case, &scene)?;
         let Scene { particles, params, tank, snapped, .. } = &scene;
@@ -100,6 +105,7 @@ impl<'a, const D: usize> Run<'a, D> {
             StepControl { fixed: case.time.step, largest: case.time.step_max.unwrap_or(f64::INFINITY) };
         let mut simulation =
             Simulation::new(particles.clone(), scheme, control, *tank, params.gravity, params.support());
+        simulation.shake(Motion::of(case));
         let started = match simulation.start() {
             Err(wrong @ Error::Input(_)) => return Err(wrong),
             // A saved state brings its pressure along.
@@ -129,9 +135,13 @@ impl<'a, const D: usize> Run<'a, D> {
         let exact = exact::of_case(case, params)
             .map(|exact| ExactLog::new(&folder, exact, params, case.output.samples, since))
             .transpose()?;
+        let profiles = measured
+            .map(|(profile, points)| Profiles::new(&folder, profile, points, params.spacing, since))
+            .transpose()?;
         let mut run = Self {
             history,
             exact,
+            profiles,
             probes,
             solver_log: SolverLog::new(&folder, &args.save_systems, since)?,
             snapshots: Snapshots::new(&folder, case, since)?,
@@ -179,7 +189,13 @@ impl<'a, const D: usize> Run<'a, D> {
             self.save_failing_state()?;
         }
         self.progress.finish();
-        let comparison = self.references.compare(self.folder.path())?;
+        let mut comparison = self.references.compare(self.folder.path())?;
+        let mut errors = self.exact.as_mut().map_or(Ok(vec![]), ExactLog::errors)?;
+        match (&mut self.profiles, &self.case.profile) {
+            (Some(profiles), _) => errors.extend(profiles.errors()?),
+            (None, Some(profile)) => comparison.missing.push((profile.name.clone(), profile.file.clone())),
+            (None, None) => {}
+        }
         let report = Report {
             case: self.case,
             scheme: self.simulation.scheme.as_ref(),
@@ -189,7 +205,7 @@ impl<'a, const D: usize> Run<'a, D> {
             totals: self.simulation.totals,
             energy: self.history.energy(),
             comparison,
-            errors: self.exact.as_mut().map_or(Ok(vec![]), ExactLog::errors)?,
+            errors,
             solver: &self.solver,
             wall_s: self.earlier_s + self.began.elapsed().as_secs_f64(),
             folder: self.folder.path(),
@@ -211,6 +227,9 @@ impl<'a, const D: usize> Run<'a, D> {
                 exact.observe(&self.simulation, &report)?;
             }
             self.probes.observe(&self.simulation, &report)?;
+            if let Some(profiles) = &mut self.profiles {
+                profiles.observe(&self.simulation, &report)?;
+            }
             self.solver_log.observe(&self.simulation, &report)?;
             self.snapshots.observe(&self.simulation, &report)?;
             self.pictures.observe(&self.simulation, &report)?;
@@ -243,6 +262,7 @@ impl<'a, const D: usize> Run<'a, D> {
         self.probes.flush()?;
         self.solver_log.flush()?;
         self.exact.as_mut().map_or(Ok(()), ExactLog::flush)?;
+        self.profiles.as_mut().map_or(Ok(()), Profiles::flush)?;
         let mut writer = checkpoint::Writer::new();
         restart::save(&self.simulation, &mut writer);
         self.history.save(&mut writer);
@@ -316,6 +336,15 @@ fn pressure_solver(_: &RunArgs, _: usize) -> Result<Box<dyn PressureSolve>> {
     Err(Error::Input(format!(
         "this build leaves PETSc out, and the schemes isph_df and isph_di need it: {advice}"
     )))
+}
+
+/// The measured surfaces of the case, if their file was given.
+fn read_profile<'a>(
+    args: &'a RunArgs,
+    case: &'a CaseFile,
+) -> Result<Option<(&'a Profile, profiles::Measured)>> {
+    let given = args.profile_file(case)?;
+    given.map(|(profile, file)| Ok((profile, profiles::read(profile, file)?))).transpose()
 }
 
 fn create_folder(args: &RunArgs, case: &CaseFile) -> Result<RunFolder> {

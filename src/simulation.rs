@@ -3,6 +3,7 @@
 //! The loop knows no file formats: an [`Observer`] looks at the simulation after each step.
 
 use crate::geometry::TankShape;
+use crate::motion::Motion;
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Scheme, StepReport};
 use crate::{Error, Result};
@@ -21,8 +22,12 @@ pub struct Simulation<const D: usize> {
     pub dt: f64,
     /// Totals since the start.
     pub totals: Totals,
+    /// Body force per mass in m/s2 that the liquid felt in the last step: gravity, minus the acceleration of the tank.
+    pub body_force: Vector<D>,
+    motion: Option<Motion<D>>,
     control: StepControl,
     tank: Option<TankShape<D>>,
+    /// Without the motion of the tank: it tells which way things fall in the end.
     gravity: Vector<D>,
     speed_limit: f64,
     margin: f64,
@@ -97,6 +102,8 @@ impl<const D: usize> Simulation<D> {
             time: 0.0,
             step: 0,
             totals: Totals::default(),
+            body_force: gravity,
+            motion: None,
             control,
             tank,
             gravity,
@@ -106,6 +113,24 @@ impl<const D: usize> Simulation<D> {
         };
         simulation.dt = FIRST * simulation.stable_dt();
         simulation
+    }
+
+    /// Moves the tank from now on.
+    pub fn shake(&mut self, motion: Option<Motion<D>>) {
+        self.motion = motion;
+        self.feel_last_step();
+    }
+
+    /// Brings the body force to that of the last step done, or of the start.
+    pub fn feel_last_step(&mut self) {
+        self.feel(if self.step > 0 { self.time - 0.5 * self.dt } else { self.time });
+    }
+
+    fn feel(&mut self, time: f64) {
+        if let Some(motion) = &self.motion {
+            self.body_force = self.gravity - motion.acceleration(time);
+            self.scheme.set_gravity(self.body_force);
+        }
     }
 
     /// Finds the pressure of the initial state; see [`Scheme::start`].
@@ -133,6 +158,9 @@ impl<const D: usize> Simulation<D> {
         self.remove_leavers();
         let dt = self.next_dt();
         self.remember();
+        let end = self.time + dt;
+        // The middle, told from the end: so a resumed run finds the same number.
+        self.feel(end - 0.5 * dt);
         let outcome = self.scheme.step(&mut self.particles, dt).and_then(|report| {
             self.watch(dt)?;
             Ok(report)
@@ -144,7 +172,7 @@ impl<const D: usize> Simulation<D> {
                 return Err(self.located(error, dt));
             }
         };
-        self.time += dt;
+        self.time = end;
         self.step += 1;
         self.dt = dt;
         self.count(&report);

@@ -156,6 +156,67 @@ fn a_resumed_run_is_the_uninterrupted_run() {
 }
 
 #[test]
+fn a_resumed_run_in_a_shaken_tank_is_the_uninterrupted_run() {
+    for scheme in ["isph_df", "wcsph"] {
+        let folder = folder();
+        // Schedules that do not depend on the end.
+        let schedules = "--set output.samples=0.01 --set output.particles=0.05 --set output.gauges=0.01";
+        let case = format!("sloshing --scheme {scheme} --spacing 0.1 --threads 1 {schedules}");
+        done(&folder, &format!("{case} --until 0.3 --out whole"));
+        done(&folder, &format!("{case} --until 0.15 --out parts"));
+        done(&folder, &format!("{case} --until 0.3 --out parts --resume"));
+        assert_same_run(&folder.path().join("whole"), &folder.path().join("parts"));
+    }
+}
+
+#[test]
+fn water_in_a_lift_is_heavier() {
+    let folder = folder();
+    // Upwards at g / 2: at rest in the tank, at one and a half times the pressure.
+    let lift = "--set motion.acceleration=[[0,0,4.905]]";
+    done(&folder, &format!("still_water_2d --spacing 0.05 --until 0.1 --threads 1 --out out {lift}"));
+    let pressure = mean_of_last_half(&folder.path().join("out/probes.csv"), "p_bottom_pa");
+    assert!((pressure / (1.5 * 3924.0) - 1.0).abs() < 1e-4, "{pressure}");
+    let energy = mean_of_last_half(&folder.path().join("out/history.csv"), "kinetic_energy_j");
+    assert!(energy < 1e-6, "{energy}");
+}
+
+#[test]
+fn a_measured_surface_is_compared_at_its_times() {
+    let folder = folder();
+    let points = "time_s,x_m,y_m\n0.02,0.1,0.15\n0.02,0.2,0.15\n0.04,1.0,0.038\n0.9,0.1,0.1\n";
+    fs::write(folder.path().join("points.csv"), points).unwrap();
+    fs::write(folder.path().join("words.csv"), "time_s,x_m,y_m\nsoon,far,high\n").unwrap();
+    let case = "dam_break_wet_bed --spacing 0.019 --until 0.05 --threads 1";
+    let table = done(&folder, &format!("{case} --out out --reference points.csv"));
+    assert!(table.contains("janosi at 0.02 s"), "{table}");
+    let errors = summary(&folder.path().join("out"))["errors"].clone();
+    let names: Vec<_> = errors.as_array().unwrap().iter().map(|e| e["name"].clone()).collect();
+    assert_eq!(names, ["janosi", "janosi at 0.02 s", "janosi at 0.04 s"]);
+    assert!(errors[0]["max"].as_f64().unwrap() < 0.019 / 0.15, "{errors}");
+    assert!(failed(&folder, &format!("{case} --reference words.csv"), 2).contains("no row has numbers"));
+    assert!(done(&folder, &format!("{case} --out none")).contains("not given: janosi"));
+}
+
+#[test]
+fn a_variant_is_in_the_case_as_run() {
+    let folder = folder();
+    for (scheme, step) in [("isph_df", "0.0005"), ("wcsph_monaghan", "0.00005")] {
+        let line = format!("dam_break_2d --variant paper --scheme {scheme} --spacing 0.02 --until 0.002");
+        done(&folder, &format!("{line} --threads 1 --out {scheme}"));
+        let case = fs::read_to_string(folder.path().join(scheme).join("run.toml")).unwrap();
+        let case: toml::Table = case.parse().unwrap();
+        assert_eq!(case["time"]["step"].as_float(), step.parse().ok());
+        assert!(
+            done(&folder, &format!("check {line}"))
+                .contains(&format!("about {:.3e} s", step.parse::<f64>().unwrap()))
+        );
+    }
+    let said = failed(&folder, "still_water_2d --variant paper", 2);
+    assert!(said.contains("has no such variant: it has none, leave --variant out"), "{said}");
+}
+
+#[test]
 fn a_run_leaves_pictures_of_its_snapshots_its_end_and_its_gauges() {
     let folder = folder();
     let line = "still_water_2d --spacing 0.05 --until 0.02 --snapshots 0,0.01 --out out --threads 1";

@@ -48,6 +48,11 @@ impl<const D: usize> DummyWalls<D> {
         Self { threshold, hydrostatic_gradient }
     }
 
+    /// Changes the body force per volume that walls feel, in N/m3.
+    pub fn set_hydrostatic_gradient(&mut self, gradient: Vector<D>) {
+        self.hydrostatic_gradient = gradient;
+    }
+
     /// Kernel sum over the liquid from which particle `a` takes part: always for liquid, never for dummies.
     #[inline]
     pub fn threshold(&self, particles: &Particles<D>, a: usize) -> f64 {

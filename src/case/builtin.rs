@@ -7,7 +7,7 @@ macro_rules! cases {
 }
 
 /// Names and TOML texts, in the order in which they are listed.
-const CASES: [(&str, &str); 9] = cases![
+const CASES: [(&str, &str); 12] = cases![
     "dam_break_2d",
     "dam_break_3d_fixed",
     "still_water_2d",
@@ -16,6 +16,9 @@ const CASES: [(&str, &str); 9] = cases![
     "stretching_drop",
     "rotating_square",
     "standing_wave",
+    "sloshing",
+    "dam_break_dry_bed",
+    "dam_break_wet_bed",
     "patch_test",
 ];
 

@@ -31,6 +31,9 @@ pub struct CaseFile {
     /// The tank around it, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tank: Option<Tank>,
+    /// How the tank moves, if it does; the scene is seen from the tank.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motion: Option<Motion>,
     /// Fixed solid boxes inside the domain.
     #[serde(rename = "box", skip_serializing_if = "Vec::is_empty")]
     pub boxes: Vec<SolidBox>,
@@ -49,6 +52,9 @@ pub struct CaseFile {
     /// What the result is measured against.
     #[serde(rename = "reference", skip_serializing_if = "Vec::is_empty")]
     pub references: Vec<Reference>,
+    /// Measured surfaces that the result is compared with.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Profile>,
     /// Events whose time is known.
     #[serde(rename = "arrival", skip_serializing_if = "Vec::is_empty")]
     pub arrivals: Vec<Arrival>,
@@ -104,6 +110,31 @@ pub enum ExactSolution {
         amplitude: f64,
         /// Number of half waves between the walls.
         mode: u32,
+    },
+    /// Small waves in a tank that is shaken along x.
+    Sloshing {
+        /// Number of half waves between the walls of the mode compared: an odd one, shaking excites no other.
+        mode: u32,
+    },
+    /// A dam break over a dry bed in shallow water; the dam is the right end of the first block.
+    Ritter,
+}
+
+/// Acceleration of the tank: its liquid feels gravity minus this.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Motion {
+    /// Rows of a time in s, ascending, and the components of the acceleration in m/s2; linear between them, constant
+    /// beyond the ends.
+    Acceleration(Vec<Vec<f64>>),
+    /// The tank is displaced by amplitude sin(2 pi t / period).
+    Sine {
+        /// Direction.
+        axis: Axis,
+        /// Largest displacement in m.
+        amplitude: f64,
+        /// Period in s.
+        period: f64,
     },
 }
 
@@ -529,6 +560,28 @@ pub struct Reference {
     /// Window in s of the running mean around which the rest is noise; absent: noise is not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub noise: Option<f64>,
+}
+
+/// Measured points of the free surface at one or more times (2D); module [`profiles`](crate::output::profiles) compares.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Profile {
+    /// Name in the end table; `--reference NAME=FILE` gives its data.
+    pub name: String,
+    /// Citation of the source.
+    pub source: String,
+    /// Usual name of its data file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// Column of the file that holds times in s.
+    pub time_column: String,
+    /// Column that holds x in m.
+    pub x_column: String,
+    /// Column that holds heights in m.
+    pub height_column: String,
+    /// Time in s by which the measured motion lags behind one without a gate: points of time t are compared at t - delay.
+    pub delay: f64,
+    /// Length in m that distances are divided by.
+    pub size: f64,
 }
 
 /// What the differences from a reference are divided by.

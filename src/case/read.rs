@@ -10,8 +10,8 @@ use clap::ValueEnum;
 use toml_edit::{Document, Item, TableLike, Value};
 
 use super::{
-    Arrival, BlockForm, CaseFile, ExactSolution, Fluid, FluidBlock, Normalise, OutputParams, Probe,
-    Reference, SchemeKind, SchemeParams, Side, Slip, SolidBox, Tank, TimeParams,
+    Arrival, BlockForm, CaseFile, ExactSolution, Fluid, FluidBlock, Motion, Normalise, OutputParams, Probe,
+    Profile, Reference, SchemeKind, SchemeParams, Side, Slip, SolidBox, Tank, TimeParams,
 };
 use crate::output::{quantities, table};
 use crate::{Error, Result};
@@ -24,6 +24,22 @@ const MOST_PARTICLES: f64 = 2e9;
 /// # Errors
 /// [`Error::Input`] with one line for each problem: what, where, and what to do.
 pub fn read(text: &str, origin: &str, overrides: &[(String, String)]) -> Result<CaseFile> {
+    read_variant(text, origin, None, overrides)
+}
+
+/// [`read()`] of a variant that the case itself describes.
+///
+/// A table `[variant.NAME]` holds keys of the case file as they stand in the file, and tables named like a scheme with keys
+/// for that scheme alone. They replace those of the case, those of the scheme come after the others, and `overrides` last.
+///
+/// # Errors
+/// As [`read()`]; and for a variant that the case does not have.
+pub fn read_variant(
+    text: &str,
+    origin: &str,
+    variant: Option<&str>,
+    overrides: &[(String, String)],
+) -> Result<CaseFile> {
     let document = Document::parse(text).map_err(|error| {
         let line = error.span().map_or(1, |span| line_of(text, span.start));
         let message = error.message().trim().replace('\n', ", ");
@@ -32,11 +48,20 @@ pub fn read(text: &str, origin: &str, overrides: &[(String, String)]) -> Result<
     let mut root = document.as_item().clone();
     let mut problems = Vec::new();
     let mut overridden = Vec::new();
-    for (key, value) in overrides {
+    let of_variant = match variant {
+        Some(name) => changes_of_variant(&root, name, origin, overrides)?,
+        None => vec![],
+    };
+    let labelled = of_variant
+        .iter()
+        .map(|(key, value)| (format!("--variant {}", variant.unwrap_or_default()), key, value));
+    for (label, key, value) in
+        labelled.chain(overrides.iter().map(|(key, value)| (format!("--set {key}"), key, value)))
+    {
         match set(&mut root, key, value) {
-            Ok(path) => overridden.push((path, key.as_str())),
+            Ok(path) => overridden.push((path, label)),
             Err(sentence) => {
-                overridden.push((key.clone(), key.as_str()));
+                overridden.push((key.clone(), label));
                 problems.push(Problem { path: key.clone(), sentence });
             }
         }
@@ -46,6 +71,7 @@ pub fn read(text: &str, origin: &str, overrides: &[(String, String)]) -> Result<
     let mut reader = Reader::new(root.as_table_like(), String::new(), 0, &noted);
     reader.dimension = reader.whole("dimension", 2, 3).required() as usize;
     let mut case = read_case(&reader);
+    reader.item("variant"); // what was asked of it is in the case by now
     reader.item("run"); // how a run was made: for people, not for us
     reader.reject_unknown();
     // A shorter run than the file's simply does not reach its later snapshots.
@@ -65,9 +91,9 @@ pub fn read(text: &str, origin: &str, overrides: &[(String, String)]) -> Result<
             let (start, added) = place(&root, &path);
             let typed = overridden
                 .iter()
-                .find(|(changed, _)| is_within(&path, changed) || added && is_within(changed, &path));
+                .rfind(|(changed, _)| is_within(&path, changed) || added && is_within(changed, &path));
             match (typed, start) {
-                (Some((_, key)), _) => (0, format!("--set {key}: {sentence}")),
+                (Some((_, label)), _) => (0, format!("{label}: {sentence}")),
                 (None, None) => (0, format!("{origin}: {sentence}")),
                 (None, Some(start)) => {
                     let line = line_of(text, start);
@@ -78,6 +104,54 @@ pub fn read(text: &str, origin: &str, overrides: &[(String, String)]) -> Result<
         .collect();
     lines.sort_by_key(|&(line, _)| line);
     Err(Error::Input(lines.into_iter().map(|(_, line)| line).collect::<Vec<_>>().join("\n")))
+}
+
+/// Dotted keys and values that make a case the variant `name` of itself, with the scheme that it then has.
+fn changes_of_variant(
+    root: &Item,
+    name: &str,
+    origin: &str,
+    overrides: &[(String, String)],
+) -> Result<Vec<(String, String)>> {
+    let variants = root.get("variant").and_then(Item::as_table_like);
+    let Some(variant) = variants.and_then(|all| all.get(name)).and_then(Item::as_table_like) else {
+        let known: Vec<_> = variants.into_iter().flat_map(TableLike::iter).map(|(known, _)| known).collect();
+        let advice = match nearest(name, known.iter().copied()) {
+            Some(near) => format!("did you mean {near}?"),
+            None if known.is_empty() => "it has none, leave --variant out".to_owned(),
+            None => format!("use one of {}", known.join(", ")),
+        };
+        return Err(Error::Input(format!("--variant {name}: {origin} has no such variant: {advice}")));
+    };
+    let is_scheme = |key: &str| SchemeKind::from_str(key, false).is_ok();
+    let mut changes = vec![];
+    for (key, item) in variant.iter().filter(|(key, _)| !is_scheme(key)) {
+        flatten(key.to_owned(), item, &mut changes);
+    }
+    let kind_in = |list: &[(String, String)]| {
+        let last = list.iter().rev().find(|(key, _)| key == "scheme.kind");
+        last.map(|(_, value)| value.trim().trim_matches(['"', '\'']).to_owned())
+    };
+    let in_file = root.get("scheme").and_then(|scheme| scheme.get("kind")).and_then(Item::as_str);
+    let kind = kind_in(overrides).or(kind_in(&changes)).or(in_file.map(str::to_owned));
+    let kind = kind.unwrap_or_else(|| SchemeParams::default().kind.name());
+    for (key, item) in variant.get(&kind).and_then(Item::as_table_like).into_iter().flat_map(TableLike::iter)
+    {
+        flatten(key.to_owned(), item, &mut changes);
+    }
+    Ok(changes)
+}
+
+/// Adds the values under `item` with their dotted keys.
+fn flatten(key: String, item: &Item, values: &mut Vec<(String, String)>) {
+    match item.as_table_like() {
+        Some(table) => {
+            for (below, item) in table.iter() {
+                flatten(format!("{key}.{below}"), item, values);
+            }
+        }
+        None => values.push((key, item.to_string())),
+    }
 }
 
 /// The case as TOML with all defaults written out, under `header` as comment lines; [`read`] gives it back equal.
@@ -465,6 +539,7 @@ fn read_case(r: &Reader) -> CaseFile {
         seed: r.whole("seed", 0, i64::MAX).or(0).unsigned_abs(),
         fluid: r.section("fluid", read_fluid),
         tank: r.optional_section("tank", read_tank),
+        motion: r.optional_section("motion", read_motion).flatten(),
         boxes: r.sections("box", |r| SolidBox {
             name: r.name("name").or(r.numbered("box")),
             min: r.vector("min", "m").required(),
@@ -476,6 +551,16 @@ fn read_case(r: &Reader) -> CaseFile {
         time,
         probes: r.sections("probe", read_probe),
         references: r.sections("reference", read_reference),
+        profile: r.optional_section("profile", |r| Profile {
+            name: r.name("name").required(),
+            source: r.text("source", "a citation").required(),
+            file: r.text("file", "the name of a data file").optional(),
+            time_column: r.text("time_column", "the title of a column").required(),
+            x_column: r.text("x_column", "the title of a column").required(),
+            height_column: r.text("height_column", "the title of a column").required(),
+            delay: r.number("delay", Range::Any, "s").or(0.0),
+            size: r.number("size", Range::Positive, "m").required(),
+        }),
         arrivals: r.sections("arrival", |r| Arrival {
             quantity: r.name("quantity").required(),
             level: r.number("level", Range::Any, "the quantity's SI unit").required(),
@@ -509,6 +594,38 @@ fn read_tank(r: &Reader) -> Tank {
         open: r.variant_list("open").or(Vec::new()),
         periodic: r.variant_list("periodic").or(Vec::new()),
         slip: r.variant("slip").or(Slip::default()),
+    }
+}
+
+/// `None` after a problem has been noted.
+fn read_motion(r: &Reader) -> Option<Motion> {
+    let columns = 1 + r.dimension;
+    let wanted =
+        format!("rows of {columns} finite numbers, a time in s and accelerations in m/s2, times ascending");
+    let table = r.field("acceleration", wanted, vec![], |item| {
+        let rows = items(item)?.iter().map(floats).collect::<Option<Vec<_>>>()?;
+        let is_row = |row: &Vec<f64>| row.len() == columns && row.iter().all(|value| value.is_finite());
+        let ascends = rows.windows(2).all(|pair| pair[0].first() < pair[1].first());
+        (!rows.is_empty() && rows.iter().all(is_row) && ascends).then_some(rows)
+    });
+    let sine = r.optional_section("sine", |r| Motion::Sine {
+        axis: r.variant("axis").required(),
+        amplitude: r.number("amplitude", Range::Any, "m").required(),
+        period: r.number("period", Range::Positive, "s").required(),
+    });
+    match (table.optional(), sine) {
+        (Some(rows), None) => Some(Motion::Acceleration(rows)),
+        (None, Some(sine)) => Some(sine),
+        (Some(_), Some(_)) => {
+            r.note("sine", "stands beside a table of accelerations: leave one of them out");
+            None
+        }
+        (None, None) => {
+            let complaint =
+                "is missing: give rows [t, ax, ...] of a time in s and accelerations in m/s2, or a sine";
+            r.note("acceleration", complaint);
+            None
+        }
     }
 }
 
@@ -586,7 +703,7 @@ fn read_probe(r: &Reader) -> Probe {
 }
 
 fn read_exact(r: &Reader) -> ExactSolution {
-    const SOLUTIONS: [&str; 3] = ["taylor_green", "stretching_drop", "standing_wave"];
+    const SOLUTIONS: [&str; 5] = ["taylor_green", "stretching_drop", "standing_wave", "sloshing", "ritter"];
     let solution = r.field("solution", format!("one of {SOLUTIONS:?}"), SOLUTIONS[0], |item| {
         SOLUTIONS.into_iter().find(|&solution| item.as_str() == Some(solution))
     });
@@ -597,11 +714,17 @@ fn read_exact(r: &Reader) -> ExactSolution {
         "stretching_drop" => {
             ExactSolution::StretchingDrop { rate: r.number("rate", Range::Positive, "1/s").required() }
         }
+        "ritter" => ExactSolution::Ritter,
+        "sloshing" => ExactSolution::Sloshing { mode: read_mode(r) },
         _ => ExactSolution::StandingWave {
             amplitude: r.number("amplitude", Range::Positive, "m").required(),
-            mode: u32::try_from(r.whole("mode", 1, 1000).or(1)).unwrap_or(1),
+            mode: read_mode(r),
         },
     }
+}
+
+fn read_mode(r: &Reader) -> u32 {
+    u32::try_from(r.whole("mode", 1, 1000).or(1)).unwrap_or(1)
 }
 
 fn read_reference(r: &Reader) -> Reference {
@@ -698,6 +821,8 @@ fn prove(case: &CaseFile, problems: &mut Vec<Problem>) {
     proof.times(problems);
     proof.liquid(problems);
     proof.sound(problems);
+    proof.motion(problems);
+    proof.surfaces(problems);
 }
 
 /// The scene as far as its parts must fit together; each method notes what does not.
@@ -828,7 +953,8 @@ impl Proof<'_> {
 
     fn names(&self, problems: &mut Vec<Problem>) {
         let probes = self.case.probes.iter().map(Probe::name);
-        let references = self.case.references.iter().map(|reference| reference.name.as_str());
+        let profiles = self.case.profile.iter().map(|profile| profile.name.as_str());
+        let references = self.case.references.iter().map(|reference| reference.name.as_str()).chain(profiles);
         let boxes = self.case.boxes.iter().map(|solid| solid.name.as_str());
         let indices =
             [("box", repeated(boxes)), ("probe", repeated(probes)), ("reference", repeated(references))];
@@ -931,6 +1057,38 @@ impl Proof<'_> {
 }
 
 impl Proof<'_> {
+    /// An axis that exists, and a tank that moves where the solution needs one.
+    fn motion(&self, problems: &mut Vec<Problem>) {
+        match (&self.case.motion, &self.case.exact) {
+            (Some(Motion::Sine { axis, .. }), _) if *axis as usize >= self.case.dimension => {
+                let complaint = "is z, which only 3D has: use x or y";
+                problems.push(Problem::new("motion.sine.axis", complaint));
+            }
+            (None, Some(ExactSolution::Sloshing { .. }))
+                if !problems.iter().any(|p| is_within(&p.path, "motion")) =>
+            {
+                let complaint = "is missing, and nothing sloshes without it: give acceleration or sine";
+                problems.push(Problem::new("motion", complaint));
+            }
+            (_, Some(ExactSolution::Sloshing { mode })) if mode % 2 == 0 => {
+                let complaint = format!("is {mode}: give an odd number, shaking excites no even mode");
+                problems.push(Problem::new("exact.mode", &complaint));
+            }
+            _ => {}
+        }
+    }
+
+    fn surfaces(&self, problems: &mut Vec<Problem>) {
+        if self.case.profile.is_some() && self.case.dimension > 2 {
+            let complaint = "is a line, which only 2D has for a surface: leave it out";
+            problems.push(Problem::new("profile", complaint));
+        }
+        if self.case.exact == Some(ExactSolution::Ritter) && self.case.dimension > 2 {
+            let complaint = "is \"ritter\", which is known in 2D: set dimension = 2";
+            problems.push(Problem::new("exact.solution", complaint));
+        }
+    }
+
     /// A speed of sound follows from a fall or from a first motion.
     fn sound(&self, problems: &mut Vec<Problem>) {
         let compressible = matches!(self.case.scheme.kind, SchemeKind::Wcsph | SchemeKind::WcsphMonaghan);
@@ -990,6 +1148,20 @@ until = 1
         let found = problems(SMALL, sets);
         assert_eq!(found.len(), 1, "{found:#?}");
         found[0].clone()
+    }
+
+    #[test]
+    fn variants_of_built_in_cases_read_with_every_scheme() {
+        for (name, text) in builtin::names().map(|name| (name, builtin::find(name).unwrap())) {
+            let document = Document::parse(text).unwrap();
+            let variants = document.get("variant").and_then(Item::as_table_like);
+            for (variant, _) in variants.into_iter().flat_map(TableLike::iter) {
+                for kind in SchemeKind::value_variants() {
+                    let sets = [("scheme.kind".to_owned(), kind.name())];
+                    read_variant(text, name, Some(variant), &sets).unwrap();
+                }
+            }
+        }
     }
 
     #[test]
@@ -1104,6 +1276,59 @@ until = 1
     }
 
     #[test]
+    fn a_variant_changes_keys_by_scheme_and_the_user_has_the_last_word() {
+        let text = format!(
+            "{SMALL}\n[variant.fine]\nspacing = 0.05\ntime.step = 1e-3\n[variant.fine.wcsph]\ntime.step = 1e-4\n"
+        );
+        let read =
+            |sets: &[(&str, &str)]| read_variant(&text, "my.toml", Some("fine"), &pairs(sets)).unwrap();
+        let found = |case: CaseFile| (case.spacing, case.time.step);
+        assert_eq!(found(read(&[])), (0.05, Some(1e-3)));
+        assert_eq!(found(read(&[("scheme.kind", "wcsph")])), (0.05, Some(1e-4)));
+        assert_eq!(found(read(&[("scheme.kind", "wcsph"), ("time.step", "2e-4")])), (0.05, Some(2e-4)));
+        assert_eq!(found(super::read(&text, "my.toml", &[]).unwrap()), (0.1, None));
+        let sentence = |name| read_variant(&text, "my.toml", Some(name), &[]).unwrap_err().to_string();
+        assert_eq!(sentence("fin"), "--variant fin: my.toml has no such variant: did you mean fine?");
+        let text = text.replace("1e-3", "-1");
+        assert_eq!(
+            read_variant(&text, "my.toml", Some("fine"), &[]).unwrap_err().to_string(),
+            "--variant fine: time.step is -1: give a finite number > 0 in s"
+        );
+    }
+
+    #[test]
+    fn a_motion_is_proven() {
+        let rows = "[[0, 0, 0], [1, 0.5, 0]]";
+        let table = small(&[("motion.acceleration", rows)]);
+        assert_eq!(table.motion, Some(Motion::Acceleration(vec![vec![0.0; 3], vec![1.0, 0.5, 0.0]])));
+        let sine = "{axis = 'x', amplitude = 0.1, period = 2}";
+        for case in [table, small(&[("motion.sine", sine)])] {
+            assert_eq!(super::read(&write(&case, ""), "run.toml", &[]).unwrap(), case);
+        }
+        for (sets, wanted) in [
+            (
+                &[("motion.acceleration", "[[1, 0, 0], [0, 0, 0]]")][..],
+                "motion.acceleration is [[1, 0, 0], [0, 0, 0]]: give rows of 3 finite numbers",
+            ),
+            (&[("motion.acceleration", "[[1, 0]]")], "give rows of 3 finite numbers"),
+            (&[("motion", "{}")], "motion.acceleration is missing: give rows"),
+            (&[("motion.acceleration", rows), ("motion.sine", sine)], "motion.sine stands beside a table"),
+            (
+                &[("motion.sine", "{axis = 'z', amplitude = 0.1, period = 2}")],
+                "motion.sine.axis is z, which only 3D has",
+            ),
+            (&[("exact", "{solution = 'sloshing'}")], "motion is missing, and nothing sloshes without it"),
+            (
+                &[("exact", "{solution = 'sloshing', mode = 2}"), ("motion.sine", sine)],
+                "exact.mode is 2: give an odd number",
+            ),
+        ] {
+            let found = problem(sets);
+            assert!(found.contains(wanted), "{found}");
+        }
+    }
+
+    #[test]
     fn a_bad_override_is_named_by_its_key() {
         for (key, value, wanted) in [
             ("spacing", "-1", "--set spacing: spacing is -1: give a finite number > 0 in m"),
@@ -1134,7 +1359,8 @@ until = 1
                 "new.key",
                 "1",
                 "--set new.key: new is no key of a case file: use one of dimension, time, name, description, \
-                 spacing, gravity, seed, fluid, tank, box, exact, scheme, output, probe, reference, arrival, run",
+                 spacing, gravity, seed, fluid, tank, motion, box, exact, scheme, output, probe, reference, profile, arrival, \
+                 variant, run",
             ),
             ("fluid", "1", "--set fluid: fluid is 1: write it as one table [fluid]"),
         ] {

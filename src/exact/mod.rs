@@ -4,6 +4,8 @@
 //! by side, and the end table gives the errors, each divided by what its entry says.
 
 mod drop;
+mod ode;
+mod ritter;
 mod taylor_green;
 mod waves;
 
@@ -71,6 +73,8 @@ pub fn of_case<const D: usize>(case: &CaseFile, params: &Params<D>) -> Option<Bo
         ExactSolution::StandingWave { amplitude, mode } => {
             Box::new(waves::StandingWave::new(case, *amplitude, *mode, params))
         }
+        ExactSolution::Sloshing { mode } => Box::new(waves::StandingWave::new(case, 0.0, *mode, params)),
+        ExactSolution::Ritter => Box::new(ritter::DamBreak::new(case, params)),
     })
 }
 

@@ -17,6 +17,7 @@ const CONTENTS: &[&str] = &[
     "bodies",
     "history.csv",
     "exact.csv",
+    "profiles.csv",
     "probes.csv",
     "forces.csv",
     "bodies.csv",

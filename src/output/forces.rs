@@ -22,8 +22,8 @@ use clap::ValueEnum;
 /// All force probes of a scene.
 pub struct Forces<const D: usize> {
     patches: Vec<Patch<D>>,
-    /// Pressure from a wall particle to its face at a higher coordinate, in Pa, by axis.
-    step: Vector<D>,
+    /// Half a spacing times the density, in kg/m2: by the body force, the pressure from a wall particle to its face.
+    half_cell: f64,
     area: f64,
 }
 
@@ -45,18 +45,24 @@ impl<const D: usize> Forces<D> {
         };
         Self {
             patches: case.probes.iter().filter_map(patch).collect(),
-            step: 0.5 * params.spacing * params.density * params.gravity,
+            half_cell: 0.5 * params.spacing * params.density,
             area: params.spacing.powi(D as i32 - 1),
         }
     }
 
-    /// Present forces in N, in the order of the probes.
-    pub fn read(&self, particles: &Particles<D>, fields: &Fields<D>) -> Vec<Vector<D>> {
+    /// Present forces in N, in the order of the probes, where the last step felt `body_force` m/s2.
+    pub fn read(
+        &self,
+        particles: &Particles<D>,
+        fields: &Fields<D>,
+        body_force: &Vector<D>,
+    ) -> Vec<Vector<D>> {
+        let step = self.half_cell * body_force;
         let is_wet = |a: usize| fields.active.get(a).copied().unwrap_or(false);
         let pressure = |&(a, axis, normal): &(u32, usize, f64)| {
             let mut force = Vector::zeros();
             if is_wet(a as usize) {
-                let p = particles.pressure[a as usize] + normal * self.step[axis];
+                let p = particles.pressure[a as usize] + normal * step[axis];
                 force[axis] = -p * normal * self.area;
             }
             force
@@ -182,7 +188,7 @@ until = 1
             walls_carry_pressure: wall_force.is_none(),
             wall_force: if wall_force.is_some() { &reactions } else { &[] },
         };
-        Forces::new(&case, &scene.lattice, &scene.params).read(&particles, &fields)
+        Forces::new(&case, &scene.lattice, &scene.params).read(&particles, &fields, &scene.params.gravity)
     }
 
     #[test]

@@ -13,6 +13,7 @@ pub mod forces;
 pub mod observers;
 pub mod picture;
 pub mod probes;
+pub mod profiles;
 pub mod progress;
 pub mod quantities;
 pub mod restart;

@@ -186,12 +186,14 @@ impl<const D: usize> Probes<D> {
     /// Rows of the present state.
     pub fn sample(&mut self, simulation: &Simulation<D>) -> Result<()> {
         let (particles, fields) = (&simulation.particles, simulation.scheme.fields());
-        let time = simulation.time;
+        let (time, body_force) = (simulation.time, &simulation.body_force);
         if let Some((table, gauges)) = &mut self.gauges {
-            table.row(&[vec![Cell::Number(time)], gauges.read(particles, &fields, time)].concat())?;
+            table.row(
+                &[vec![Cell::Number(time)], gauges.read(particles, &fields, body_force, time)].concat(),
+            )?;
         }
         if let Some((table, forces)) = &mut self.forces {
-            let forces = forces.read(particles, &fields);
+            let forces = forces.read(particles, &fields, body_force);
             let components = forces.iter().flat_map(|force| force.iter().copied());
             table.row(&std::iter::once(time).chain(components).map(Cell::Number).collect::<Vec<_>>())?;
         }

@@ -132,8 +132,16 @@ impl<const D: usize> Gauges<D> {
         cells.iter().enumerate().filter_map(in_sight).collect()
     }
 
-    /// Present values, in the order of the probes; `time` in s tells filters how old a reading is.
-    pub fn read(&mut self, particles: &Particles<D>, fields: &Fields<D>, time: f64) -> Vec<Cell<'static>> {
+    /// Present values, in the order of the probes, where the last step felt `body_force` m/s2; `time` in s tells filters how
+    /// old a reading is.
+    pub fn read(
+        &mut self,
+        particles: &Particles<D>,
+        fields: &Fields<D>,
+        body_force: &Vector<D>,
+        time: f64,
+    ) -> Vec<Cell<'static>> {
+        self.params.gravity = *body_force;
         let near = self.bins.sort(particles);
         let reading = |(gauge, near): (&Gauge<D>, &Vec<u32>)| match &gauge.kind {
             Kind::Pressure { walls, .. } => self.pressure(particles, fields, &gauge.at, walls, near),
@@ -381,7 +389,12 @@ until = 1
             walls_carry_pressure,
             wall_force: &[],
         };
-        Gauges::new(&case.probes, &scene.lattice, &particles, &scene.params).read(&particles, &fields, 0.0)
+        Gauges::new(&case.probes, &scene.lattice, &particles, &scene.params).read(
+            &particles,
+            &fields,
+            &scene.params.gravity,
+            0.0,
+        )
     }
 
     fn pressure(x: f64, y: f64) -> String {
@@ -458,7 +471,7 @@ until = 1
                 wall_force: &[],
             };
             let mut gauges = Gauges::new(&case.probes, &scene.lattice, &scene.particles, &scene.params);
-            let height = number(gauges.read(&scene.particles, &fields, 0.0)[0]);
+            let height = number(gauges.read(&scene.particles, &fields, &scene.params.gravity, 0.0)[0]);
             assert!((height / spacing - 1.0).abs() < 0.05, "{height} m at {spacing} m");
         }
     }

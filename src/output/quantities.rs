@@ -13,7 +13,8 @@ pub struct Scene<'a, const D: usize> {
     pub fields: Fields<'a, D>,
     /// Mass of one particle in kg (in 2D for 1 m of width).
     pub mass: f64,
-    /// Gravitational acceleration in m/s2.
+    /// Gravitational acceleration in m/s2, without the motion of a tank: energies of a shaken liquid change by the work
+    /// that the shaking does.
     pub gravity: Vector<D>,
     /// Particle spacing in m.
     pub spacing: f64,

@@ -382,6 +382,11 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         Some(())
     }
 
+    fn set_gravity(&mut self, gravity: Vector<D>) {
+        self.params.gravity = gravity;
+        self.walls.set_hydrostatic_gradient(self.params.density * gravity);
+    }
+
     fn max_dt(&self, particles: &Particles<D>) -> f64 {
         self.method.dt_limit(&self.params, self.ranks.max(fastest(particles)), self.acceleration)
     }

@@ -131,6 +131,9 @@ pub trait Scheme<const D: usize> {
     /// Advances `particles` by `dt` s. On an error the particles are left as they were at that moment.
     fn step(&mut self, particles: &mut Particles<D>, dt: f64) -> Result<StepReport>;
 
+    /// Changes the body force per mass, in m/s2, that liquid and walls feel from the next step on.
+    fn set_gravity(&mut self, gravity: Vector<D>);
+
     /// Largest stable time step in s for the present state.
     fn max_dt(&self, particles: &Particles<D>) -> f64;
 

@@ -589,6 +589,10 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
         Some(())
     }
 
+    fn set_gravity(&mut self, gravity: Vector<D>) {
+        self.params.gravity = gravity;
+    }
+
     fn max_dt(&self, particles: &Particles<D>) -> f64 {
         self.method.dt_limit(&self.params, self.ranks.max(fastest(particles)), self.acceleration)
     }
