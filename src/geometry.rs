@@ -44,6 +44,18 @@ pub struct TankShape<const D: usize> {
     pub periodic: [bool; D],
 }
 
+/// All that liquid must not enter, as snapped.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Enclosure<const D: usize> {
+    /// The tank, if any.
+    pub tank: Option<TankShape<D>>,
+    /// Solid boxes.
+    pub boxes: Vec<Aabb<D>>,
+    /// How far, in m, liquid may stray behind a face without having passed it: half a spacing, where the first layer of
+    /// solid particles lies.
+    pub tolerance: f64,
+}
+
 /// Liquid at the start.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BlockShape<const D: usize> {
@@ -205,6 +217,12 @@ impl<const D: usize> Lattice<D> {
     fn extent(&self, cells: &CellBox<D>) -> Aabb<D> {
         let corner = |cell: Cell<D>| self.origin + Vector::from_fn(|d, _| cell[d] as f64 * self.spacing);
         Aabb { min: corner(cells.min), max: corner(cells.max) }
+    }
+
+    /// What liquid must not enter.
+    pub fn enclosure(&self) -> Enclosure<D> {
+        let boxes = self.boxes.iter().map(|cells| self.extent(cells)).collect();
+        Enclosure { tank: self.snapped_tank(), boxes, tolerance: 0.5 * self.spacing }
     }
 
     /// The cell of the tank that a cell beyond a periodic side repeats.

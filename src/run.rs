@@ -100,11 +100,17 @@ impl<'a, const D: usize> Run<'a, D> {
         let measured = read_profile(args, case)?;
         let resumed = resume_from(args, case)?;
         let (scheme, described) = scheme(args, case, &scene)?;
-        let Scene { particles, params, tank, snapped, .. } = &scene;
+        let Scene { particles, params, enclosure, snapped, .. } = &scene;
         let control =
             StepControl { fixed: case.time.step, largest: case.time.step_max.unwrap_or(f64::INFINITY) };
-        let mut simulation =
-            Simulation::new(particles.clone(), scheme, control, *tank, params.gravity, params.support());
+        let mut simulation = Simulation::new(
+            particles.clone(),
+            scheme,
+            control,
+            enclosure.clone(),
+            params.gravity,
+            params.support(),
+        );
         simulation.shake(Motion::of(case));
         let started = match simulation.start() {
             Err(wrong @ Error::Input(_)) => return Err(wrong),

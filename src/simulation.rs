@@ -2,7 +2,7 @@
 //!
 //! The loop knows no file formats: an [`Observer`] looks at the simulation after each step.
 
-use crate::geometry::TankShape;
+use crate::geometry::{Aabb, Enclosure};
 use crate::motion::Motion;
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Scheme, StepReport};
@@ -26,7 +26,7 @@ pub struct Simulation<const D: usize> {
     pub body_force: Vector<D>,
     motion: Option<Motion<D>>,
     control: StepControl,
-    tank: Option<TankShape<D>>,
+    enclosure: Enclosure<D>,
     /// Without the motion of the tank: it tells which way things fall in the end.
     gravity: Vector<D>,
     speed_limit: f64,
@@ -81,7 +81,7 @@ impl<const D: usize> Simulation<D> {
         particles: Particles<D>,
         scheme: Box<dyn Scheme<D>>,
         control: StepControl,
-        tank: Option<TankShape<D>>,
+        enclosure: Enclosure<D>,
         gravity: Vector<D>,
         support: f64,
     ) -> Self {
@@ -105,7 +105,7 @@ impl<const D: usize> Simulation<D> {
             body_force: gravity,
             motion: None,
             control,
-            tank,
+            enclosure,
             gravity,
             speed_limit: RUNAWAY * (speed + fall),
             margin: support,
@@ -237,9 +237,8 @@ impl<const D: usize> Simulation<D> {
 
     /// Takes out particles that went over an open side for good, and any that got behind a wall.
     fn remove_leavers(&mut self) {
-        let Some(tank) = self.tank else { return };
-        let (margin, gravity) = (self.margin, self.gravity);
-        let fate = |r: &Vector<D>| Fate::of(r, &tank, &gravity, margin);
+        let (enclosure, margin, gravity) = (&self.enclosure, self.margin, self.gravity);
+        let fate = |r: &Vector<D>| Fate::of(r, enclosure, &gravity, margin);
         let particles = &self.particles;
         let gone: Vec<usize> =
             particles.fluid().filter(|&a| fate(&particles.position[a]) != Fate::Stays).collect();
@@ -276,13 +275,23 @@ enum Fate {
 impl Fate {
     /// Above an open top a particle stays until it has passed a wall sideways: it may fall back. On any other open side
     /// it has left once it is a kernel support away.
-    fn of<const D: usize>(r: &Vector<D>, tank: &TankShape<D>, gravity: &Vector<D>, margin: f64) -> Self {
+    fn of<const D: usize>(r: &Vector<D>, enclosure: &Enclosure<D>, gravity: &Vector<D>, margin: f64) -> Self {
+        let deep = |b: &Aabb<D>| {
+            (0..D).map(|d| (r[d] - b.min[d]).min(b.max[d] - r[d])).fold(f64::INFINITY, f64::min)
+        };
+        if enclosure.boxes.iter().any(|b| deep(b) > enclosure.tolerance) {
+            return Self::ThroughWall("box's");
+        }
+        let Some(tank) = &enclosure.tank else { return Self::Stays };
         let mut behind = None;
         let mut beyond_open = false;
         for d in (0..D).filter(|&d| !tank.periodic[d]) {
             let overshoot = [tank.inner.min[d] - r[d], r[d] - tank.inner.max[d]];
             for (end, overshoot) in overshoot.into_iter().enumerate() {
                 if overshoot <= 0.0 {
+                    continue;
+                }
+                if !tank.open[d][end] && overshoot <= enclosure.tolerance {
                     continue;
                 }
                 if !tank.open[d][end] {
@@ -315,19 +324,24 @@ impl Fate {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Aabb;
+    use crate::geometry::TankShape;
 
     #[test]
     fn leavers_are_told_from_leaks() {
         let inner = Aabb { min: Vector::<2>::zeros(), max: Vector::<2>::new(1.0, 1.0) };
         let tank = TankShape { inner, open: [[false, true], [false, true]], periodic: [false; 2] };
         let gravity = Vector::<2>::new(0.0, -9.81);
-        let fate = |x: f64, y: f64| Fate::of(&Vector::<2>::new(x, y), &tank, &gravity, 0.1);
+        let block = Aabb { min: Vector::<2>::new(0.2, 0.0), max: Vector::<2>::new(0.4, 0.1) };
+        let enclosure = Enclosure { tank: Some(tank), boxes: vec![block], tolerance: 0.005 };
+        let fate = |x: f64, y: f64| Fate::of(&Vector::<2>::new(x, y), &enclosure, &gravity, 0.1);
         assert_eq!(fate(0.5, 0.5), Fate::Stays);
         assert_eq!(fate(0.5, 3.0), Fate::Stays, "falls back");
         assert_eq!(fate(-0.01, 3.0), Fate::Left, "over the rim");
         assert_eq!(fate(-0.01, 0.5), Fate::ThroughWall("left"));
         assert_eq!(fate(0.5, -0.01), Fate::ThroughWall("bottom"));
+        assert_eq!(fate(0.5, -0.004), Fate::Stays, "before the wall's particles");
+        assert_eq!(fate(0.3, 0.05), Fate::ThroughWall("box's"));
+        assert_eq!(fate(0.3, 0.097), Fate::Stays);
         assert_eq!(fate(1.05, 0.5), Fate::Stays, "still near");
         assert_eq!(fate(1.2, 0.5), Fate::Left);
     }

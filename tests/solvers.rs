@@ -65,7 +65,7 @@ fn systems() -> Vec<PressureSystem> {
     let control = StepControl { fixed: None, largest: f64::INFINITY };
     let (gravity, support) = (scene.params.gravity, scene.params.support());
     let mut simulation =
-        Simulation::new(scene.particles, Box::new(scheme), control, scene.tank, gravity, support);
+        Simulation::new(scene.particles, Box::new(scheme), control, scene.enclosure, gravity, support);
     simulation.start().unwrap();
     let mut until = |time: f64| {
         while simulation.time < time {

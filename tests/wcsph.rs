@@ -69,10 +69,11 @@ fn drops(dimension: usize, scheme: &str) -> CaseFile {
 fn simulation<const D: usize>(case: &CaseFile) -> (Simulation<D>, Params<D>) {
     let scene = build::scene::<D>(case);
     let method = build::wcsph(case, &scene);
-    let Scene { particles, params, tank, .. } = scene;
+    let Scene { particles, params, enclosure, .. } = scene;
     let scheme = Box::new(Wcsph::new(params.clone(), method, &particles));
     let control = StepControl { fixed: None, largest: f64::INFINITY };
-    let mut simulation = Simulation::new(particles, scheme, control, tank, params.gravity, params.support());
+    let mut simulation =
+        Simulation::new(particles, scheme, control, enclosure, params.gravity, params.support());
     simulation.start().unwrap();
     (simulation, params)
 }

@@ -5,7 +5,7 @@ use super::{
 };
 use crate::boundary::repulsion::Repulsion;
 use crate::exact;
-use crate::geometry::{Aabb, BlockShape, Lattice, Shapes, SolidSide, TankShape};
+use crate::geometry::{Aabb, BlockShape, Enclosure, Lattice, Shapes, SolidSide, TankShape};
 use crate::halo::PeriodicBox;
 use crate::particles::{Particles, Vector};
 use crate::ppe::source::Source;
@@ -20,8 +20,8 @@ pub struct Scene<const D: usize> {
     pub particles: Particles<D>,
     /// What all schemes share.
     pub params: Params<D>,
-    /// Inner walls of the tank, if there is one.
-    pub tank: Option<TankShape<D>>,
+    /// What liquid must not enter.
+    pub enclosure: Enclosure<D>,
     /// The lattice they lie on.
     pub lattice: Lattice<D>,
     /// One sentence for each length that did not fit the lattice, and for each gauge that moved along.
@@ -47,7 +47,7 @@ pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
     jitter(&mut particles, case.scheme.jitter * case.spacing, case.seed);
     let moved = case.probes.iter().flat_map(|probe| moved_gauge(case, &lattice, probe));
     let snapped = lattice.snapped.iter().cloned().chain(moved).collect();
-    Scene { particles, params, tank, lattice, snapped }
+    Scene { particles, params, enclosure: lattice.enclosure(), lattice, snapped }
 }
 
 /// Sentences on how a gauge follows the face it is on.

@@ -12,11 +12,12 @@ use sphpetsc::scheme::isph::Isph;
 use sphpetsc::simulation::{Simulation, StepControl};
 
 fn step<const D: usize>(criterion: &mut Criterion, session: &Rc<Session>, name: &str) {
-    let (Scene { particles, params, tank, .. }, method) = scenes::scene::<D>(name);
+    let (Scene { particles, params, enclosure, .. }, method) = scenes::scene::<D>(name);
     let solver = PressureSolver::new(Rc::clone(session), particles.fluid().len()).expect("known types");
     let scheme = Box::new(Isph::new(params.clone(), method, &particles, Box::new(solver)));
     let control = StepControl { fixed: None, largest: f64::INFINITY };
-    let mut simulation = Simulation::new(particles, scheme, control, tank, params.gravity, params.support());
+    let mut simulation =
+        Simulation::new(particles, scheme, control, enclosure, params.gravity, params.support());
     simulation.start().expect("a pressure");
     criterion.bench_function(name, |bencher| bencher.iter(|| simulation.advance().expect("a step")));
 }
