@@ -191,16 +191,18 @@ impl<const D: usize> Wcsph<D> {
 
     /// Neighbours of liquid and of solids near it, and which walls are wet.
     fn survey(&mut self, particles: &Particles<D>) {
-        // Any liquid at all gives a solid its row; dummies of repulsive walls do nothing.
-        let rows = if self.method.wall_pressure { particles.solids() } else { particles.walls().end };
-        let solids = particles.solids();
+        // Any liquid at all gives a solid its row. Dummies of repulsive walls do nothing, and no liquid comes near those
+        // a support behind the face.
+        let (walls, solids, support) = (particles.walls().end, particles.solids(), self.params.support());
+        let is_near = |a: usize| self.method.wall_pressure && particles.depth[a] < support;
         let threshold = |a| match a {
-            a if a < rows => f64::MIN_POSITIVE,
-            a if a < solids => f64::INFINITY,
-            _ => f64::NEG_INFINITY,
+            a if a >= solids => f64::NEG_INFINITY,
+            a if a < walls || is_near(a) => f64::MIN_POSITIVE,
+            _ => f64::INFINITY,
         };
         let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
-        self.neighbors.search(kernel, h, &particles.position, &Layout::of(particles), threshold);
+        let layout = Layout::of(particles).with_solids_blind_to_solids();
+        self.neighbors.search(kernel, h, &particles.position, &layout, threshold);
         self.walls.mark_active(particles, &self.neighbors, &mut self.wet);
         self.active.clone_from(&self.wet);
         if !self.method.wall_pressure {
