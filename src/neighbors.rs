@@ -56,18 +56,19 @@ struct Grid<const D: usize> {
     min: Vector<D>,
     inverse_width: f64,
     extent: [usize; D],
-    /// The support radius in widths of a cell.
-    reach: f64,
+    /// How many cells on each side of a particle's own hold its neighbours.
+    reach: usize,
 }
 
 impl<const D: usize> Default for Grid<D> {
     fn default() -> Self {
-        Self { min: Vector::zeros(), inverse_width: 0.0, extent: [1; D], reach: 0.0 }
+        Self { min: Vector::zeros(), inverse_width: 0.0, extent: [1; D], reach: 1 }
     }
 }
 
 impl<const D: usize> Grid<D> {
-    /// Covers `positions`, with cells of half a `support`, doubled until there are at most four a particle: a few particles
+    /// Covers `positions`, with cells of half a `support`: in 3D two cells to each side hold 216 spacings^3 of candidates
+    /// at h = 1.2 dx, where one cell of a whole support to each side holds 373. They are doubled until there are at most four a particle: a few particles
     /// far away must not cost memory.
     fn covering(positions: &[Vector<D>], support: f64) -> Self {
         let mut min: Vector<D> = Vector::repeat(f64::INFINITY);
@@ -80,28 +81,22 @@ impl<const D: usize> Grid<D> {
             (min, max) = (Vector::zeros(), Vector::zeros());
         }
         let cells = |d: usize, width: f64| ((max[d] - min[d]) / width).floor() + 1.0;
-        let mut width = 0.5 * support;
+        let (mut width, mut reach) = (0.5 * support, 2);
         while (0..D).map(|d| cells(d, width)).product::<f64>() > 4.0 * positions.len() as f64 + 64.0 {
-            width *= 2.0;
+            (width, reach) = (2.0 * width, 1);
         }
         let extent = std::array::from_fn(|d| (cells(d, width) as usize).max(1));
-        Self { min, inverse_width: 1.0 / width, extent, reach: support / width }
+        Self { min, inverse_width: 1.0 / width, extent, reach }
     }
 
-    /// Distance from the lower corner in widths of a cell.
-    fn scaled(&self, r: &Vector<D>) -> Vector<D> {
-        (r - self.min) * self.inverse_width
-    }
-
-    /// The cell at a scaled coordinate; beyond the grid the nearest one.
-    fn along(&self, d: usize, scaled: f64) -> usize {
-        // A cast of what is negative gives zero.
-        (scaled as usize).min(self.extent[d] - 1)
+    fn coordinates(&self, r: &Vector<D>) -> [usize; D] {
+        std::array::from_fn(|d| {
+            (((r[d] - self.min[d]) * self.inverse_width) as usize).min(self.extent[d] - 1)
+        })
     }
 
     fn cell(&self, r: &Vector<D>) -> u32 {
-        let at = self.scaled(r);
-        (0..D).fold(0, |n, d| n * self.extent[d] + self.along(d, at[d])) as u32
+        self.coordinates(r).iter().zip(&self.extent).fold(0, |n, (c, extent)| n * extent + c) as u32
     }
 }
 
@@ -135,28 +130,22 @@ impl<const D: usize> CellList<D> {
         self.position.extend(self.sorted.iter().map(|&a| position[a as usize]));
     }
 
-    /// Calls `visit` with each run of particle numbers and positions in the cells that the support of `r` touches. Cells
-    /// adjacent along the last axis are adjacent in memory, so a run spans up to five of them.
+    /// Calls `visit` with each run of particle numbers and positions in the cells around `r`. Cells adjacent along the
+    /// last axis are adjacent in memory, so a run spans up to five of them.
     #[inline]
     fn around(&self, r: &Vector<D>, mut visit: impl FnMut(&[u32], &[Vector<D>])) {
         let Grid { extent, reach, .. } = self.grid;
-        let at = self.grid.scaled(r);
-        let low: [usize; D] = std::array::from_fn(|d| self.grid.along(d, at[d] - reach));
-        let high: [usize; D] = std::array::from_fn(|d| self.grid.along(d, at[d] + reach));
+        let at = self.grid.coordinates(r);
+        let low: [usize; D] = std::array::from_fn(|d| at[d].saturating_sub(reach));
+        let high: [usize; D] = std::array::from_fn(|d| (at[d] + reach).min(extent[d] - 1));
         let last = D - 1;
         let mut cell = low;
         loop {
-            let gap = |d: usize| (cell[d] as f64 - at[d]).max(at[d] - cell[d] as f64 - 1.0).max(0.0);
-            let left = reach * reach - (0..last).map(|d| gap(d) * gap(d)).sum::<f64>();
-            if left > 0.0 {
-                let half = left.sqrt();
-                let base = (0..last).fold(0, |n, d| (n + cell[d]) * extent[d + 1]);
-                let (first, end) =
-                    (self.grid.along(last, at[last] - half), self.grid.along(last, at[last] + half));
-                let run = self.start[base + first] as usize..self.start[base + end + 1] as usize;
-                if !run.is_empty() {
-                    visit(&self.sorted[run.clone()], &self.position[run]);
-                }
+            let row = cell[..last].iter().zip(&extent).fold(0, |n, (c, extent)| n * extent + c);
+            let base = row * extent[last];
+            let run = self.start[base + low[last]] as usize..self.start[base + high[last] + 1] as usize;
+            if !run.is_empty() {
+                visit(&self.sorted[run.clone()], &self.position[run]);
             }
             // Next row of cells: an odometer over all axes but the last.
             let Some(d) = (0..last).rev().find(|&d| cell[d] < high[d]) else { return };
