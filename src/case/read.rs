@@ -456,7 +456,7 @@ fn variants<T: ValueEnum>() -> String {
 
 fn read_case(r: &Reader) -> CaseFile {
     let scheme = r.section("scheme", read_scheme);
-    let time = r.section("time", |r| read_time(r, scheme.kind));
+    let time = r.section("time", |r| read_time(r, &scheme));
     CaseFile {
         name: r.name("name").required(),
         description: r.text("description", "what the case shows").or(String::new()),
@@ -547,11 +547,11 @@ fn read_scheme(r: &Reader) -> SchemeParams {
     }
 }
 
-fn read_time(r: &Reader, kind: SchemeKind) -> TimeParams {
+fn read_time(r: &Reader, scheme: &SchemeParams) -> TimeParams {
     TimeParams {
         until: r.number("until", Range::NotNegative, "s").required(),
         step: r.number("step", Range::Positive, "s").optional(),
-        courant: r.number("courant", Range::Above(0.0, 1.0), "").or(TimeParams::courant_of(kind)),
+        courant: r.number("courant", Range::Above(0.0, 1.0), "").or(TimeParams::courant_of(scheme)),
         step_max: r.number("step_max", Range::Positive, "s").optional(),
     }
 }
@@ -1131,8 +1131,8 @@ until = 1
             (
                 "new.key",
                 "1",
-                "--set new.key: new is no key of a case file: use one of dimension, time, name, description, \
-                 spacing, gravity, seed, fluid, tank, box, exact, scheme, output, probe, reference, arrival, run",
+                "--set new.key: new is no key of a case file: use one of dimension, scheme, time, name, description, \
+                 spacing, gravity, seed, fluid, tank, box, exact, output, probe, reference, arrival, run",
             ),
             ("fluid", "1", "--set fluid: fluid is 1: write it as one table [fluid]"),
         ] {

@@ -9,6 +9,11 @@
 //! with the artificial viscosity Pi of [`crate::terms::artificial_viscosity`]. Forces of a pair are opposite and equal, and
 //! (2) and (3) are each other's adjoint: together they keep momentum, and energy but for the viscosity.
 //!
+//! The laminar viscosity, of the form that [`crate::terms::viscosity`] gives the scene, adds to (3). Ghosts beyond periodic sides
+//! ([`crate::halo`]) count like any other particle. A scene of closed vortices without air has no pressure that would close the
+//! voids which negative pressures open: in `taylor_green` at a spacing of 0.02 m the speed decays far too fast (a tenth of the
+//! exact one and less at 1 s).
+//!
 //! The pressure *is* the density: the state of a particle stays position, velocity and pressure.
 //!
 //! | | `wcsph_monaghan` (Jian et al. 2016: "equal footing") | `wcsph` |
