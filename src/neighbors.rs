@@ -280,19 +280,20 @@ impl<const D: usize> Neighbors<D> {
             chunk.start.push(0);
             chunk.liquid.clear();
             let mut end = 0;
-            for a in c * CHUNK..((c + 1) * CHUNK).min(count) {
+            let rows = c * CHUNK..((c + 1) * CHUNK).min(count);
+            for (a, r_a) in rows.clone().zip(&position[rows]) {
                 let (least, before) = (threshold(a), end);
                 let mut liquid = 0;
                 if least < f64::INFINITY {
-                    let at = (a, &position[a]);
-                    fluid_cells.around(at.1, |run, places| end = chunk.gather(end, at, (run, places), limit));
+                    let at = (a, r_a);
+                    fluid_cells.around(r_a, |run, places| end = chunk.gather(end, at, (run, places), limit));
                     chunk.weigh(before..end, smoothing);
                     liquid = end - before;
                     if least > 0.0 && chunk.kernel[before..end].iter().sum::<f64>() < least {
                         (end, liquid) = (before, 0);
                     } else if solids_see_solids || a >= first_fluid {
                         solid_cells
-                            .around(at.1, |run, places| end = chunk.gather(end, at, (run, places), limit));
+                            .around(r_a, |run, places| end = chunk.gather(end, at, (run, places), limit));
                         chunk.weigh(before + liquid..end, smoothing);
                     }
                 }
