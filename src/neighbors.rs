@@ -16,27 +16,37 @@ pub struct Layout {
     pub solids: Range<usize>,
     /// Ghosts of solids; those of the fluid follow them. Ghosts get no rows.
     pub solid_ghosts: Range<usize>,
+    /// Whether the rows of solids list solids as well.
+    pub solids_see_solids: bool,
 }
 
 impl Layout {
     /// `solids` solids, then fluid up to `count` particles, and no ghosts.
     pub fn without_ghosts(solids: usize, count: usize) -> Self {
-        Self { solids: 0..solids, solid_ghosts: count..count }
+        Self { solids: 0..solids, solid_ghosts: count..count, solids_see_solids: true }
     }
 
     /// That of `particles`.
     pub fn of<const D: usize>(particles: &Particles<D>) -> Self {
-        Self { solids: 0..particles.solids(), solid_ghosts: particles.solid_ghosts() }
+        let (solids, solid_ghosts) = (0..particles.solids(), particles.solid_ghosts());
+        Self { solids, solid_ghosts, solids_see_solids: true }
+    }
+
+    /// The same, with rows of solids that list their liquid neighbours alone.
+    pub fn with_solids_blind_to_solids(self) -> Self {
+        Self { solids_see_solids: false, ..self }
     }
 }
 
-/// Particles sorted into cubic cells at least one support radius wide.
+/// Particles sorted into cubic cells.
 #[derive(Debug, Clone, Default)]
 pub struct CellList<const D: usize> {
     grid: Grid<D>,
     start: Vec<u32>,
     /// Particle numbers, cell by cell.
     sorted: Vec<u32>,
+    /// Their positions, in the same order.
+    position: Vec<Vector<D>>,
     cell_of: Vec<u32>,
 }
 
@@ -46,17 +56,20 @@ struct Grid<const D: usize> {
     min: Vector<D>,
     inverse_width: f64,
     extent: [usize; D],
+    /// How many cells on each side of a particle's own hold its neighbours.
+    reach: usize,
 }
 
 impl<const D: usize> Default for Grid<D> {
     fn default() -> Self {
-        Self { min: Vector::zeros(), inverse_width: 0.0, extent: [1; D] }
+        Self { min: Vector::zeros(), inverse_width: 0.0, extent: [1; D], reach: 1 }
     }
 }
 
 impl<const D: usize> Grid<D> {
-    /// Covers `positions`, with cells of at least `support`, doubled until there are at most four a particle:
-    /// a few particles far away must not cost memory.
+    /// Covers `positions`, with cells of half a `support`: in 3D two cells to each side hold 216 spacings^3 of candidates
+    /// at h = 1.2 dx, where one cell of a whole support to each side holds 373. They are doubled until there are at most four a particle: a few particles
+    /// far away must not cost memory.
     fn covering(positions: &[Vector<D>], support: f64) -> Self {
         let mut min: Vector<D> = Vector::repeat(f64::INFINITY);
         let mut max: Vector<D> = Vector::repeat(f64::NEG_INFINITY);
@@ -68,12 +81,12 @@ impl<const D: usize> Grid<D> {
             (min, max) = (Vector::zeros(), Vector::zeros());
         }
         let cells = |d: usize, width: f64| ((max[d] - min[d]) / width).floor() + 1.0;
-        let mut width = support;
+        let (mut width, mut reach) = (0.5 * support, 2);
         while (0..D).map(|d| cells(d, width)).product::<f64>() > 4.0 * positions.len() as f64 + 64.0 {
-            width *= 2.0;
+            (width, reach) = (2.0 * width, 1);
         }
         let extent = std::array::from_fn(|d| (cells(d, width) as usize).max(1));
-        Self { min, inverse_width: 1.0 / width, extent }
+        Self { min, inverse_width: 1.0 / width, extent, reach }
     }
 
     fn coordinates(&self, r: &Vector<D>) -> [usize; D] {
@@ -113,16 +126,18 @@ impl<const D: usize> CellList<D> {
         }
         self.start.copy_within(0..cells, 1);
         self.start[0] = 0;
+        self.position.clear();
+        self.position.extend(self.sorted.iter().map(|&a| position[a as usize]));
     }
 
-    /// Calls `visit` with each run of particle numbers in the cells around `r`. Cells adjacent along the last
-    /// axis are adjacent in memory, so a run spans up to three of them.
+    /// Calls `visit` with each run of particle numbers and positions in the cells around `r`. Cells adjacent along the
+    /// last axis are adjacent in memory, so a run spans up to five of them.
     #[inline]
-    fn around(&self, r: &Vector<D>, mut visit: impl FnMut(&[u32])) {
-        let extent = self.grid.extent;
+    fn around(&self, r: &Vector<D>, mut visit: impl FnMut(&[u32], &[Vector<D>])) {
+        let Grid { extent, reach, .. } = self.grid;
         let at = self.grid.coordinates(r);
-        let low: [usize; D] = std::array::from_fn(|d| at[d].saturating_sub(1));
-        let high: [usize; D] = std::array::from_fn(|d| (at[d] + 1).min(extent[d] - 1));
+        let low: [usize; D] = std::array::from_fn(|d| at[d].saturating_sub(reach));
+        let high: [usize; D] = std::array::from_fn(|d| (at[d] + reach).min(extent[d] - 1));
         let last = D - 1;
         let mut cell = low;
         loop {
@@ -130,7 +145,7 @@ impl<const D: usize> CellList<D> {
             let base = row * extent[last];
             let run = self.start[base + low[last]] as usize..self.start[base + high[last] + 1] as usize;
             if !run.is_empty() {
-                visit(&self.sorted[run]);
+                visit(&self.sorted[run.clone()], &self.position[run]);
             }
             // Next row of cells: an odometer over all axes but the last.
             let Some(d) = (0..last).rev().find(|&d| cell[d] < high[d]) else { return };
@@ -143,15 +158,10 @@ impl<const D: usize> CellList<D> {
 /// Rows of neighbours of all particles, with their kernel factors.
 #[derive(Debug, Clone, Default)]
 pub struct Neighbors<const D: usize> {
-    start: Vec<usize>,
-    /// Liquid neighbours in each row.
-    liquid: Vec<u32>,
-    index: Vec<u32>,
-    kernel: Vec<f64>,
-    gradient: Vec<f64>,
+    /// The rows, [`CHUNK`] of them each.
+    chunks: Vec<Chunk>,
     solid_cells: CellList<D>,
     fluid_cells: CellList<D>,
-    chunks: Vec<Chunk>,
 }
 
 /// One row: parallel slices over the neighbours b of a particle a.
@@ -167,16 +177,56 @@ pub struct Row<'a> {
     pub liquid: usize,
 }
 
-/// Rows found by one task; buffers live on between steps.
+/// Rows found by one task, one behind the other. Pairs are kept where they were found: rows of 3D scenes are too large to
+/// be copied together every step.
 #[derive(Debug, Clone, Default)]
 struct Chunk {
-    count: Vec<u32>,
+    /// Where each row starts, and where the last one ends.
+    start: Vec<usize>,
+    /// Liquid neighbours in each row.
     liquid: Vec<u32>,
+    // Buffers that only grow: what lies behind the last row is left over from other steps.
     index: Vec<u32>,
     kernel: Vec<f64>,
     gradient: Vec<f64>,
-    /// Candidates within reach of one particle, with their squared distances.
-    hits: Vec<(u32, f64)>,
+}
+
+impl Chunk {
+    /// Writes the particles of a run that are nearer to `a` than the root of `limit` from `end` on, and the squares of
+    /// their distances in place of their kernel factors; returns the new end.
+    #[inline]
+    fn gather<const D: usize>(
+        &mut self,
+        end: usize,
+        (a, r_a): (usize, &Vector<D>),
+        (run, position): (&[u32], &[Vector<D>]),
+        limit: f64,
+    ) -> usize {
+        if self.index.len() < end + run.len() {
+            let room = (2 * end).max(end + run.len());
+            self.index.resize(room, 0);
+            self.kernel.resize(room, 0.0);
+            self.gradient.resize(room, 0.0);
+        }
+        let room = end..end + run.len();
+        let (index, squares) = (&mut self.index[room.clone()], &mut self.kernel[room]);
+        let mut found = 0;
+        for (&b, r_b) in run.iter().zip(position) {
+            // Written in any case and kept by counting on: a branch here is mispredicted too often.
+            let square = (r_a - r_b).norm_squared();
+            (index[found], squares[found]) = (b, square);
+            found += usize::from(square < limit) & usize::from(b as usize != a);
+        }
+        end + found
+    }
+
+    /// Kernel factors in place of the squares of distances.
+    #[inline]
+    fn weigh<const D: usize, K: Kernel>(&mut self, pairs: Range<usize>, smoothing: &Smoothing<D, K>) {
+        for (w, f) in self.kernel[pairs.clone()].iter_mut().zip(&mut self.gradient[pairs]) {
+            (*w, *f) = smoothing.pair(w.sqrt());
+        }
+    }
 }
 
 const CHUNK: usize = 512;
@@ -217,120 +267,58 @@ impl<const D: usize> Neighbors<D> {
         threshold: impl Fn(usize) -> f64 + Sync,
     ) {
         let grid = Grid::covering(position, support);
-        let Layout { solids, solid_ghosts } = layout.clone();
-        let count = solid_ghosts.start;
-        let fluid = [solids.end..count, solid_ghosts.end..position.len()];
+        let Layout { solids, solid_ghosts, solids_see_solids } = layout.clone();
+        let (count, first_fluid) = (solid_ghosts.start, solids.end);
+        let fluid = [first_fluid..count, solid_ghosts.end..position.len()];
         self.solid_cells.sort(&grid, [solids, solid_ghosts], position);
         self.fluid_cells.sort(&grid, fluid, position);
         self.chunks.resize_with(count.div_ceil(CHUNK), Chunk::default);
         let (solid_cells, fluid_cells) = (&self.solid_cells, &self.fluid_cells);
         let limit = support * support;
         self.chunks.par_iter_mut().enumerate().for_each(|(c, chunk)| {
-            let Chunk { count: counts, liquid, index, kernel, gradient, hits } = chunk;
-            counts.clear();
-            liquid.clear();
-            index.clear();
-            kernel.clear();
-            gradient.clear();
-            for a in c * CHUNK..((c + 1) * CHUNK).min(count) {
-                let least = threshold(a);
-                if least == f64::INFINITY {
-                    counts.push(0);
-                    liquid.push(0);
-                    continue;
-                }
-                let r_a = position[a];
-                let mut found = 0;
-                let mut gather = |run: &[u32]| {
-                    if hits.len() < found + run.len() {
-                        hits.resize(found + run.len(), (0, 0.0));
+            chunk.start.clear();
+            chunk.start.push(0);
+            chunk.liquid.clear();
+            let mut end = 0;
+            let rows = c * CHUNK..((c + 1) * CHUNK).min(count);
+            for (a, r_a) in rows.clone().zip(&position[rows]) {
+                let (least, before) = (threshold(a), end);
+                let mut liquid = 0;
+                if least < f64::INFINITY {
+                    let at = (a, r_a);
+                    fluid_cells.around(r_a, |run, places| end = chunk.gather(end, at, (run, places), limit));
+                    chunk.weigh(before..end, smoothing);
+                    liquid = end - before;
+                    if least > 0.0 && chunk.kernel[before..end].iter().sum::<f64>() < least {
+                        (end, liquid) = (before, 0);
+                    } else if solids_see_solids || a >= first_fluid {
+                        solid_cells
+                            .around(r_a, |run, places| end = chunk.gather(end, at, (run, places), limit));
+                        chunk.weigh(before + liquid..end, smoothing);
                     }
-                    for &b in run {
-                        // Written in any case and kept by counting on: a branch here is mispredicted too often.
-                        let square = (r_a - position[b as usize]).norm_squared();
-                        hits[found] = (b, square);
-                        found += usize::from(square < limit && b as usize != a);
-                    }
-                    found
-                };
-                let mut fluid = 0;
-                fluid_cells.around(&r_a, |run| fluid = gather(run));
-                let mut all = fluid;
-                if fluid > 0 || least <= 0.0 {
-                    solid_cells.around(&r_a, |run| all = gather(run));
                 }
-                let before = index.len();
-                let mut take = |hits: &[(u32, f64)]| {
-                    for &(b, square) in hits {
-                        let (w, f) = smoothing.pair(square.sqrt());
-                        index.push(b);
-                        kernel.push(w);
-                        gradient.push(f);
-                    }
-                    kernel[before..].iter().sum::<f64>()
-                };
-                if take(&hits[..fluid]) >= least {
-                    take(&hits[fluid..all]);
-                } else {
-                    index.truncate(before);
-                    kernel.truncate(before);
-                    gradient.truncate(before);
-                }
-                counts.push((index.len() - before) as u32);
-                liquid.push(fluid.min(index.len() - before) as u32);
+                chunk.start.push(end);
+                chunk.liquid.push(liquid as u32);
             }
-        });
-        self.join(count);
-    }
-
-    fn join(&mut self, count: usize) {
-        self.start.clear();
-        self.start.push(0);
-        self.liquid.clear();
-        let mut end = 0;
-        for chunk in &self.chunks {
-            self.liquid.extend_from_slice(&chunk.liquid);
-            for &n in &chunk.count {
-                end += n as usize;
-                self.start.push(end);
-            }
-        }
-        debug_assert_eq!(self.start.len(), count + 1);
-        self.index.resize(end, 0);
-        self.kernel.resize(end, 0.0);
-        self.gradient.resize(end, 0.0);
-        let mut parts = (&mut self.index[..], &mut self.kernel[..], &mut self.gradient[..]);
-        let mut jobs = Vec::with_capacity(self.chunks.len());
-        for chunk in &self.chunks {
-            let n = chunk.index.len();
-            let (i, i_rest) = parts.0.split_at_mut(n);
-            let (w, w_rest) = parts.1.split_at_mut(n);
-            let (f, f_rest) = parts.2.split_at_mut(n);
-            parts = (i_rest, w_rest, f_rest);
-            jobs.push((chunk, i, w, f));
-        }
-        jobs.into_par_iter().for_each(|(chunk, index, kernel, gradient)| {
-            index.copy_from_slice(&chunk.index);
-            kernel.copy_from_slice(&chunk.kernel);
-            gradient.copy_from_slice(&chunk.gradient);
         });
     }
 
     /// Neighbours of particle `a`.
     #[inline]
     pub fn row(&self, a: usize) -> Row<'_> {
-        let range = self.start[a]..self.start[a + 1];
+        let (chunk, k) = (&self.chunks[a / CHUNK], a % CHUNK);
+        let range = chunk.start[k]..chunk.start[k + 1];
         Row {
-            index: &self.index[range.clone()],
-            kernel: &self.kernel[range.clone()],
-            gradient: &self.gradient[range],
-            liquid: self.liquid[a] as usize,
+            index: &chunk.index[range.clone()],
+            kernel: &chunk.kernel[range.clone()],
+            gradient: &chunk.gradient[range],
+            liquid: chunk.liquid[k] as usize,
         }
     }
 
     /// Number of listed pairs (each direction counted).
     pub fn pairs(&self) -> usize {
-        self.index.len()
+        self.chunks.iter().filter_map(|chunk| chunk.start.last()).sum()
     }
 
     /// Numbers of `position` (from 0) in cell order: the order that makes neighbours close in memory. Uses this list's

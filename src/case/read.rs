@@ -529,7 +529,8 @@ fn variants<T: ValueEnum>() -> String {
 }
 
 fn read_case(r: &Reader) -> CaseFile {
-    let time = r.section("time", read_time);
+    let scheme = r.section("scheme", read_scheme);
+    let time = r.section("time", |r| read_time(r, &scheme));
     CaseFile {
         name: r.name("name").required(),
         description: r.text("description", "what the case shows").or(String::new()),
@@ -546,7 +547,7 @@ fn read_case(r: &Reader) -> CaseFile {
             max: r.vector("max", "m").required(),
         }),
         exact: r.optional_section("exact", read_exact),
-        scheme: r.section("scheme", read_scheme),
+        scheme,
         output: r.section("output", |r| read_output(r, time.until)),
         time,
         probes: r.sections("probe", read_probe),
@@ -664,11 +665,11 @@ fn read_scheme(r: &Reader) -> SchemeParams {
     }
 }
 
-fn read_time(r: &Reader) -> TimeParams {
+fn read_time(r: &Reader, scheme: &SchemeParams) -> TimeParams {
     TimeParams {
         until: r.number("until", Range::NotNegative, "s").required(),
         step: r.number("step", Range::Positive, "s").optional(),
-        courant: r.number("courant", Range::Above(0.0, 1.0), "").or(TimeParams::COURANT),
+        courant: r.number("courant", Range::Above(0.0, 1.0), "").or(TimeParams::courant_of(scheme)),
         step_max: r.number("step_max", Range::Positive, "s").optional(),
     }
 }
@@ -1092,9 +1093,10 @@ impl Proof<'_> {
     /// A speed of sound follows from a fall or from a first motion.
     fn sound(&self, problems: &mut Vec<Problem>) {
         let compressible = matches!(self.case.scheme.kind, SchemeKind::Wcsph | SchemeKind::WcsphMonaghan);
-        let velocities = self.case.fluid.blocks.iter().flat_map(|block| &block.velocity);
-        let at_rest = self.case.gravity.iter().chain(velocities).all(|component| *component == 0.0);
-        if compressible && at_rest && self.case.scheme.sound_speed.is_none() {
+        let motion = |block: &FluidBlock| block.velocity.iter().any(|v| *v != 0.0) || block.rotation != 0.0;
+        let falls = self.case.gravity.iter().any(|g| *g != 0.0);
+        let moves = self.case.exact.is_some() || self.case.fluid.blocks.iter().any(motion);
+        if compressible && !falls && !moves && self.case.scheme.sound_speed.is_none() {
             let complaint =
                 "is missing: nothing moves or falls here that it could follow from, give it in m/s";
             problems.push(Problem::new("scheme.sound_speed", complaint));
@@ -1246,10 +1248,7 @@ until = 1
         assert_eq!((case.fluid.density, case.fluid.kinematic_viscosity), (1000.0, 1e-6));
         assert_eq!(case.fluid.blocks[0].velocity, [0.0, 0.0]);
         assert_eq!(case.scheme, SchemeParams::default());
-        assert_eq!(
-            case.time,
-            TimeParams { until: 1.0, step: None, courant: TimeParams::COURANT, step_max: None }
-        );
+        assert_eq!(case.time, TimeParams { until: 1.0, step: None, courant: 0.35, step_max: None });
         assert_eq!(case.output, OutputParams::for_run(1.0));
         assert_eq!(case.output.particles, 1.0 / 80.0);
         assert_eq!((case.seed, case.tank.unwrap().slip), (0, Slip::Free));
@@ -1358,8 +1357,8 @@ until = 1
             (
                 "new.key",
                 "1",
-                "--set new.key: new is no key of a case file: use one of dimension, time, name, description, \
-                 spacing, gravity, seed, fluid, tank, motion, box, exact, scheme, output, probe, reference, profile, arrival, \
+                "--set new.key: new is no key of a case file: use one of dimension, scheme, time, name, description, \
+                 spacing, gravity, seed, fluid, tank, motion, box, exact, output, probe, reference, profile, arrival, \
                  variant, run",
             ),
             ("fluid", "1", "--set fluid: fluid is 1: write it as one table [fluid]"),

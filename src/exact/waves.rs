@@ -165,7 +165,7 @@ mod tests {
         let k = wave.wave_number;
         let damping = 2.0 * params.kinematic_viscosity * k * k;
         let damped = (9.81 * k * (k * wave.depth).tanh() - damping * damping).sqrt();
-        for time in [0.0, 0.7, 3.1, 9.9] {
+        for time in [0.0, 0.7, 3.1, 7.9] {
             let (sin, cos) = (damped * time).sin_cos();
             let exact = wave.speed * (-damping * time).exp() * (cos - damping / damped * sin);
             assert!((wave.solution.at(time)[1] - exact).abs() < 2e-6 * wave.speed, "{time}");

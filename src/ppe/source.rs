@@ -64,8 +64,8 @@ mod tests {
             let thin = source.of(0.0, -0.02, true, 0.01);
             assert!(thin == 0.0, "{source:?}: a deficit near the surface is truncation");
         }
-        assert_eq!(Source::Blended { gamma: 0.5 }.of(3.0, 0.02, false, 0.1), 30.0 - 1.0);
-        assert_eq!(Source::DensityInvariant { tau: 0.0 }.of(3.0, 0.02, false, 0.1), -2.0);
+        assert!((Source::Blended { gamma: 0.5 }.of(3.0, 0.02, false, 0.1) - 29.0).abs() < 1e-12);
+        assert!((Source::DensityInvariant { tau: 0.0 }.of(3.0, 0.02, false, 0.1) + 2.0).abs() < 1e-12);
         assert!((Source::ErrorCompensating.of(-3.0, 0.02, false, 0.1) - (-30.6 - 0.6)).abs() < 1e-12);
     }
 }

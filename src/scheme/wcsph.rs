@@ -9,6 +9,11 @@
 //! with the artificial viscosity Pi of [`crate::terms::artificial_viscosity`]. Forces of a pair are opposite and equal, and
 //! (2) and (3) are each other's adjoint: together they keep momentum, and energy but for the viscosity.
 //!
+//! The laminar viscosity, of the form that [`crate::terms::viscosity`] gives the scene, adds to (3). Ghosts beyond periodic sides
+//! ([`crate::halo`]) count like any other particle. A scene of closed vortices without air has no pressure that would close the
+//! voids which negative pressures open: in `taylor_green` at a spacing of 0.02 m the speed decays far too fast (a tenth of the
+//! exact one and less at 1 s).
+//!
 //! The pressure *is* the density: the state of a particle stays position, velocity and pressure.
 //!
 //! | | `wcsph_monaghan` (Jian et al. 2016: "equal footing") | `wcsph` |
@@ -45,6 +50,7 @@ use crate::boundary::DummyWalls;
 use crate::boundary::extrapolation::Extrapolation;
 use crate::boundary::repulsion::Repulsion;
 use crate::case::{DiffusionKind, Slip, Stepping};
+use crate::halo::Halo;
 use crate::neighbors::{Layout, Neighbors, Row};
 use crate::operators::{Moments, Surroundings};
 use crate::parallel::Ranks;
@@ -130,6 +136,7 @@ pub struct Wcsph<const D: usize> {
     method: Method,
     state_equation: Tait,
     ranks: Ranks,
+    halo: Halo<D>,
     walls: DummyWalls<D>,
     neighbors: Neighbors<D>,
     /// Liquid and wet walls.
@@ -150,6 +157,10 @@ pub struct Wcsph<const D: usize> {
     moves: Vec<(Vector<D>, Vector<D>)>,
     wall_force: Vec<Vector<D>>,
     reorder: ReorderScratch<D>,
+    /// sum -V F r^2 / D on the lattice.
+    lattice_laplacian: f64,
+    /// False in a scene without air, see [`surface`].
+    has_surface: bool,
     /// Largest acceleration of the last step in m/s2.
     acceleration: f64,
     largest_variation: f64,
@@ -161,10 +172,12 @@ impl<const D: usize> Wcsph<D> {
     /// Scheme for `particles`.
     pub fn new(params: Params<D>, method: Method, particles: &Particles<D>) -> Self {
         let mut neighbors = Neighbors::default();
-        let walls = super::dummy_walls(&params, particles, &params.lattice_sums(), &mut neighbors);
+        let lattice = params.lattice_sums();
+        let walls = super::dummy_walls(&params, particles, &lattice, &mut neighbors);
         Self {
             state_equation: Tait::new(params.density, method.sound_speed),
             ranks: Ranks,
+            halo: Halo::new(params.periodic, params.support()),
             walls,
             neighbors,
             wet: vec![],
@@ -180,6 +193,8 @@ impl<const D: usize> Wcsph<D> {
             moves: vec![],
             wall_force: vec![],
             reorder: ReorderScratch::default(),
+            lattice_laplacian: lattice.laplacian,
+            has_surface: true,
             acceleration: 0.0,
             largest_variation: 0.0,
             steps: 0,
@@ -190,21 +205,26 @@ impl<const D: usize> Wcsph<D> {
     }
 
     /// Neighbours of liquid and of solids near it, and which walls are wet.
-    fn survey(&mut self, particles: &Particles<D>) {
-        // Any liquid at all gives a solid its row; dummies of repulsive walls do nothing.
-        let rows = if self.method.wall_pressure { particles.solids() } else { particles.walls().end };
-        let solids = particles.solids();
+    fn survey(&mut self, particles: &mut Particles<D>) {
+        self.halo.renew(particles);
+        // Any liquid at all gives a solid its row. Dummies of repulsive walls do nothing, and no liquid comes near those
+        // a support behind the face.
+        let (walls, solids, support) = (particles.walls().end, particles.solids(), self.params.support());
+        let is_near = |a: usize| self.method.wall_pressure && particles.depth[a] < support;
         let threshold = |a| match a {
-            a if a < rows => f64::MIN_POSITIVE,
-            a if a < solids => f64::INFINITY,
-            _ => f64::NEG_INFINITY,
+            a if a >= solids => f64::NEG_INFINITY,
+            a if a < walls || is_near(a) => f64::MIN_POSITIVE,
+            _ => f64::INFINITY,
         };
         let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
-        self.neighbors.search(kernel, h, &particles.position, &Layout::of(particles), threshold);
+        let layout = Layout::of(particles).with_solids_blind_to_solids();
+        self.neighbors.search(kernel, h, &particles.position, &layout, threshold);
         self.walls.mark_active(particles, &self.neighbors, &mut self.wet);
+        self.halo.refresh(particles.originals(), &mut self.wet);
         self.active.clone_from(&self.wet);
         if !self.method.wall_pressure {
             self.active[..solids].fill(false);
+            self.active[particles.solid_ghosts()].fill(false);
         }
     }
 
@@ -218,7 +238,7 @@ impl<const D: usize> Wcsph<D> {
         let (count, first, state_equation) = (particles.len(), particles.solids(), self.state_equation);
         self.density.resize(count, self.params.density);
         self.push.resize(count, 0.0);
-        self.rates.resize(count - first, Rates::default());
+        self.rates.resize(particles.owned() - first, Rates::default());
         self.surface.resize(count, 0.0);
         self.crowding.resize(count, 1.0);
         let fluid = self.density[first..].par_iter_mut().zip(&particles.pressure[first..]).with_min_len(1024);
@@ -227,46 +247,58 @@ impl<const D: usize> Wcsph<D> {
 
     /// Pressures of liquid, by Eq. (1), and of walls.
     fn pressures(&mut self, particles: &mut Particles<D>) {
-        let first = particles.solids();
-        let state_equation = self.state_equation;
-        let (density_s, density) = self.density.split_at_mut(first);
-        let (push_s, push) = self.push.split_at_mut(first);
-        let (pressure_s, pressure) = particles.pressure.split_at_mut(first);
-        (pressure as &mut [f64], push, &*density).into_par_iter().with_min_len(1024).for_each(
-            |(p, push, rho)| {
-                *p = state_equation.pressure(*rho);
-                *push = *p / (rho * rho);
-            },
-        );
-        if !self.method.wall_pressure {
-            return;
+        self.halo.refresh(particles.originals(), &mut self.density);
+        self.liquid_pressures(particles);
+        if self.method.wall_pressure {
+            self.wall_pressures(particles);
         }
+    }
+
+    fn liquid_pressures(&mut self, particles: &mut Particles<D>) {
+        let (first, state_equation) = (particles.solids(), self.state_equation);
+        let fluid = (&mut particles.pressure[first..], &mut self.push[first..], &self.density[first..]);
+        fluid.into_par_iter().with_min_len(1024).for_each(|(p, push, rho)| {
+            *p = state_equation.pressure(*rho);
+            *push = *p / (rho * rho);
+        });
+    }
+
+    fn wall_pressures(&mut self, particles: &mut Particles<D>) {
+        let (first, state_equation) = (particles.solids(), self.state_equation);
+        let (density_s, density) = self.density.split_at_mut(first);
+        let (pressure_s, pressure) = particles.pressure.split_at_mut(first);
         let (neighbors, position, gravity) = (&self.neighbors, &particles.position, &self.params.gravity);
         let (density, pressure) = (&*density, &*pressure);
-        (pressure_s, push_s, density_s).into_par_iter().enumerate().with_min_len(512).for_each(
-            |(w, (p, push, rho))| {
+        (pressure_s, &mut self.push[..first], density_s)
+            .into_par_iter()
+            .enumerate()
+            .with_min_len(512)
+            .for_each(|(w, (p, push, rho))| {
                 let row = neighbors.row(w);
                 if row.index.is_empty() {
                     (*p, *push) = (0.0, 0.0);
                     return;
                 }
                 let (r_w, mut sums) = (position[w], Extrapolation::default());
-                for (f, weight, _) in row.split().0.iter() {
+                for (f, weight, _) in row.iter() {
                     sums.add(weight, pressure[f - first], density[f - first], &(r_w - position[f]));
                 }
                 *p = sums.pressure(gravity);
                 *rho = state_equation.density(*p);
                 *push = *p / (*rho * *rho);
-            },
-        );
+            });
+        self.halo.refresh(particles.originals(), &mut self.density);
+        self.halo.refresh(particles.originals(), &mut self.push);
+        share(&self.halo, particles, |particles| &mut particles.pressure);
     }
 
     /// rho += dt drho/dt by Eq. (2) alone.
     fn continuity(&mut self, particles: &Particles<D>, dt: f64) {
-        let (first, mass) = (particles.solids(), self.params.mass());
+        let (fluid, mass) = (particles.fluid(), self.params.mass());
+        let first = fluid.start;
         let wall_pressure = self.method.wall_pressure;
         let (neighbors, position, velocity) = (&self.neighbors, &particles.position, &particles.velocity);
-        self.density[first..].par_iter_mut().enumerate().with_min_len(256).for_each(|(k, density)| {
+        self.density[fluid].par_iter_mut().enumerate().with_min_len(256).for_each(|(k, density)| {
             let a = first + k;
             let (r_a, v_a) = (position[a], velocity[a]);
             let row = neighbors.row(a);
@@ -308,7 +340,7 @@ impl<const D: usize> Wcsph<D> {
         let (mut rates, mut surface) = (std::mem::take(&mut self.rates), std::mem::take(&mut self.surface));
         let (first, walls) = (particles.solids(), particles.walls().end);
         let pairs = self.pairs();
-        (&mut rates, &mut surface[first..]).into_par_iter().enumerate().with_min_len(256).for_each(
+        (&mut rates, &mut surface[particles.fluid()]).into_par_iter().enumerate().with_min_len(256).for_each(
             |(k, (rates, surface))| {
                 let a = first + k;
                 let (liquid, solid) = self.neighbors.row(a).split();
@@ -321,7 +353,7 @@ impl<const D: usize> Wcsph<D> {
                 for (b, _, f) in solid.iter() {
                     let r_ab = r_a - particles.position[b];
                     rates.filling -= if self.wet[b] { f * r_ab.norm_squared() } else { 0.0 };
-                    if b < walls {
+                    if particles.original(b) < walls {
                         rates.acceleration += self.method.repulsion.of(&r_ab);
                     }
                 }
@@ -334,10 +366,14 @@ impl<const D: usize> Wcsph<D> {
     fn pairs(&self) -> Pairs {
         let Method { sound_speed, artificial_viscosity, density_diffusion_coefficient, .. } = self.method;
         let h = self.params.smoothing_length();
+        // Of the two forms in [`viscosity`] the one for this scene; the lattice's factor is the same.
+        let laminar = self.params.kinematic_viscosity / self.lattice_laplacian;
         Pairs {
             mass: self.params.mass(),
-            laminar: 2.0 * self.params.kinematic_viscosity * self.params.volume(),
-            viscosity: ArtificialViscosity::new(artificial_viscosity, sound_speed, h),
+            volume: self.params.volume(),
+            laminar: if self.has_surface { 0.0 } else { 2.0 * self.params.volume() * laminar },
+            viscosity: ArtificialViscosity::new(artificial_viscosity, sound_speed, h)
+                .with_laminar(if self.has_surface { 2.0 * (D + 2) as f64 * laminar } else { 0.0 }),
             diffusion: DensityDiffusion::new(density_diffusion_coefficient, h, sound_speed),
             slip: self.params.slip,
         }
@@ -348,8 +384,9 @@ impl<const D: usize> Wcsph<D> {
         let (mut moments, first) = (std::mem::take(&mut self.moments), particles.solids());
         moments.resize(particles.len(), Moments::default());
         let surroundings = self.around(particles);
-        let fluid = moments[first..].par_iter_mut().enumerate().with_min_len(256);
+        let fluid = moments[particles.fluid()].par_iter_mut().enumerate().with_min_len(256);
         fluid.for_each(|(k, moments)| *moments = surroundings.moments(first + k));
+        self.halo.refresh(particles.originals(), &mut moments);
         self.moments = moments;
     }
 
@@ -360,13 +397,14 @@ impl<const D: usize> Wcsph<D> {
         slope.resize(particles.len(), Vector::zeros());
         let hydrostatic = self.params.density * self.params.gravity;
         let (surroundings, moments) = (self.around(particles), &self.moments);
-        slope[first..].par_iter_mut().enumerate().with_min_len(256).for_each(|(k, slope)| {
+        slope[particles.fluid()].par_iter_mut().enumerate().with_min_len(256).for_each(|(k, slope)| {
             let a = first + k;
             *slope = match moments[a].correction() {
                 Some(b) => b * surroundings.difference_gradient(a, &particles.pressure),
                 None => hydrostatic,
             };
         });
+        self.halo.refresh(particles.originals(), &mut slope);
         self.slope = slope;
     }
 
@@ -375,6 +413,7 @@ impl<const D: usize> Wcsph<D> {
         let first = particles.solids();
         let fluid = particles.velocity[first..].par_iter_mut().zip(&self.rates).with_min_len(1024);
         fluid.for_each(|(v, rates)| *v += dt * rates.acceleration);
+        share(&self.halo, particles, |particles| &mut particles.velocity);
     }
 
     fn diffuse(&mut self, particles: &Particles<D>, dt: f64) {
@@ -390,6 +429,7 @@ impl<const D: usize> Wcsph<D> {
             *v = before.0 + dt * rates.acceleration;
             *density = before.1 + dt * (rates.continuity + rates.diffusion);
         });
+        share(&self.halo, particles, |particles| &mut particles.velocity);
     }
 
     /// Position Verlet; see the module.
@@ -404,10 +444,10 @@ impl<const D: usize> Wcsph<D> {
 
     /// Predictor and corrector; see the module.
     fn predict_and_correct(&mut self, particles: &mut Particles<D>, dt: f64, watch: &mut Stages) {
-        let first = particles.solids();
+        let fluid = particles.fluid();
         self.before.clear();
-        let fluid = particles.velocity[first..].iter().copied().zip(self.density[first..].iter().copied());
-        self.before.extend(fluid);
+        let now = particles.velocity[fluid.clone()].iter().zip(&self.density[fluid]);
+        self.before.extend(now.map(|(v, density)| (*v, *density)));
         for reach in [0.5 * dt, dt] {
             watch.time("pressure", || self.pressures(particles));
             watch.time("rates", || self.rates(particles));
@@ -417,12 +457,15 @@ impl<const D: usize> Wcsph<D> {
 
     fn shift(&mut self, particles: &mut Particles<D>, dt: f64) {
         self.measure(particles);
+        self.halo.refresh(particles.originals(), &mut self.surface);
         let Params { spacing, gravity, .. } = self.params;
         let h = self.params.smoothing_length();
         let shifting = Shifting::new(self.method.shifting, h, spacing, gravity.norm(), dt);
         let mut moves = std::mem::take(&mut self.moves);
         shifting.compute(&self.around(particles), particles, &self.moments, &self.surface, &mut moves);
         Shifting::apply(particles, &moves);
+        self.halo.place(particles);
+        share(&self.halo, particles, |particles| &mut particles.velocity);
         self.moves = moves;
     }
 
@@ -437,6 +480,8 @@ impl<const D: usize> Wcsph<D> {
             variation = variation.max((*crowding - 1.0).abs());
             acceleration = acceleration.max(rates.acceleration.norm_squared());
         }
+        share(&self.halo, particles, |particles| &mut particles.pressure);
+        self.halo.refresh(particles.originals(), &mut self.crowding);
         self.acceleration = self.ranks.max(acceleration.sqrt());
         self.largest_variation = self.ranks.max(variation).max(self.largest_variation);
     }
@@ -447,7 +492,7 @@ impl<const D: usize> Wcsph<D> {
         let (neighbors, position) = (&self.neighbors, &particles.position);
         self.wall_force.resize(particles.walls().len(), Vector::zeros());
         self.wall_force.par_iter_mut().enumerate().with_min_len(512).for_each(|(w, force)| {
-            let liquid = neighbors.row(w).split().0.index.iter().map(|&f| f as usize);
+            let liquid = neighbors.row(w).index.iter().map(|&f| f as usize);
             *force = -mass * liquid.map(|f| repulsion.of(&(position[f] - position[w]))).sum::<Vector<D>>();
         });
     }
@@ -456,8 +501,10 @@ impl<const D: usize> Wcsph<D> {
 /// The constants of pair sums.
 struct Pairs {
     mass: f64,
-    /// 2 nu V.
+    volume: f64,
+    /// 2 nu V of the two-point form over the lattice's factor.
     laminar: f64,
+    /// The artificial viscosity, and the laminar one of the central form.
     viscosity: ArtificialViscosity,
     diffusion: DensityDiffusion,
     slip: Slip,
@@ -481,12 +528,11 @@ impl Pairs {
             let r_ab = r_a - particles.position[b];
             let v_ab = v_a - particles.velocity[b];
             let (approach, square) = (v_ab.dot(&r_ab), r_ab.norm_squared());
-            let density_b = scheme.density[b];
-            let viscous = self.viscosity.of(approach, square, 0.5 * (density_a + density_b));
+            let viscous = self.viscosity.of(approach, square, 0.5 * (density_a + scheme.density[b]));
             let push = self.mass * (push_a + scheme.push[b] + viscous);
             rates.acceleration += f * (self.laminar * v_ab - push * r_ab);
             rates.continuity += self.mass * f * approach;
-            rates.diffusion += self.diffusion.of(self.mass / density_b * f, excess(scheme, a, b, &r_ab));
+            rates.diffusion += self.diffusion.of(self.volume * f, excess(scheme, a, b, &r_ab));
             rates.filling -= f * square;
         }
     }
@@ -506,16 +552,25 @@ impl Pairs {
             let r_ab = r_a - particles.position[b];
             let v_ab = v_a - particles.velocity[b];
             let (approach, square) = (v_ab.dot(&r_ab), r_ab.norm_squared());
-            let viscous = match self.slip {
-                Slip::Free => 0.0,
-                Slip::None => self.viscosity.of(approach, square, scheme.density[a]),
-            };
+            let original = particles.original(b);
+            let difference = viscosity::wall_difference(particles, original, &r_ab, v_ab, self.slip);
+            let viscous = self.viscosity.of(difference.dot(&r_ab), square, scheme.density[a]);
             let push = self.mass * (scheme.push[a] + scheme.push[b] + viscous);
-            let difference = viscosity::wall_difference(particles, b, &r_ab, v_ab, self.slip);
             rates.acceleration += f * (self.laminar * difference - push * r_ab);
             rates.continuity += self.mass * f * approach;
         }
     }
+}
+
+/// Gives ghosts the values of their originals in a field of the particles themselves.
+fn share<const D: usize, T: Copy>(
+    halo: &Halo<D>,
+    particles: &mut Particles<D>,
+    field: fn(&mut Particles<D>) -> &mut Vec<T>,
+) {
+    let mut values = std::mem::take(field(particles));
+    halo.refresh(particles.originals(), &mut values);
+    *field(particles) = values;
 }
 
 /// Hydrostatic pressure, in Pa, of each piece of liquid under its own top: a particle carries the weight of the column
@@ -536,7 +591,7 @@ fn hydrostatic<const D: usize>(particles: &mut Particles<D>, neighbors: &Neighbo
             let aside = (r_ab - below * down).norm();
             // The one particle on top, disordered by less than half a spacing.
             if below > 0.5 * spacing && below < 1.5 * spacing && aside < 0.5 * spacing {
-                pressure = pressure.max(particles.pressure[b] + weight.dot(&r_ab));
+                pressure = pressure.max(particles.pressure[particles.original(b)] + weight.dot(&r_ab));
             }
         }
         particles.pressure[a] = pressure;
@@ -548,9 +603,9 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
         let mut watch = std::mem::take(&mut self.stages);
         watch.time("neighbours", || {
             sort(particles, &mut self.neighbors, self.params.support(), self.steps, &mut self.reorder);
-            self.densities(particles);
             drift(particles, 0.5 * dt);
             self.survey(particles);
+            self.densities(particles);
         });
         match self.method.stepping {
             Stepping::Symplectic => self.symplectic(particles, dt, &mut watch),
@@ -570,22 +625,25 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
     fn start(&mut self, particles: &mut Particles<D>) -> Result<()> {
         self.survey(particles);
         hydrostatic(particles, &self.neighbors, &self.params);
+        share(&self.halo, particles, |particles| &mut particles.pressure);
         self.densities(particles);
         self.pressures(particles);
         self.rates(particles);
+        self.has_surface = self.ranks.max(self.surface.iter().copied().fold(0.0, f64::max)) > 0.0;
         self.push_walls(particles);
         self.conclude(particles);
         Ok(())
     }
 
     fn state(&self) -> Vec<f64> {
-        vec![self.acceleration, self.largest_variation, self.steps as f64]
+        let has_surface = f64::from(u8::from(self.has_surface));
+        vec![self.acceleration, self.largest_variation, self.steps as f64, has_surface]
     }
 
     fn set_state(&mut self, state: &[f64]) -> Option<()> {
-        let &[acceleration, largest_variation, steps] = state else { return None };
-        (self.acceleration, self.largest_variation, self.steps) =
-            (acceleration, largest_variation, steps as u64);
+        let &[acceleration, largest_variation, steps, has_surface] = state else { return None };
+        (self.acceleration, self.largest_variation) = (acceleration, largest_variation);
+        (self.steps, self.has_surface) = (steps as u64, has_surface == 1.0);
         Some(())
     }
 

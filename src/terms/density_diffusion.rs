@@ -1,6 +1,6 @@
 //! Density diffusion: takes the noise out of the pressure of a weakly compressible liquid.
 //!
-//! drho_a/dt += 2 delta h c_0 sum_b V_b psi_ab (-F_ab)                                            (1)
+//! drho_a/dt += 2 delta h c_0 sum_b V psi_ab (-F_ab)                                              (1)
 //!
 //! over liquid neighbours. The sum changes sign with the pair, so no mass is made. The forms differ in the density
 //! difference psi_ab that is smoothed out; in a barotropic liquid drho = dp / c_0^2, and all of them are here
@@ -29,7 +29,7 @@ impl DensityDiffusion {
         Self { factor: 2.0 * delta * smoothing_length / sound_speed }
     }
 
-    /// One term of Eq. (1) in kg/(m3 s): from V_b F_ab in 1/m2 and the pressure excess c_0^2 psi_ab in Pa.
+    /// One term of Eq. (1) in kg/(m3 s): from V F_ab in 1/m2 and the pressure excess c_0^2 psi_ab in Pa.
     #[inline]
     pub fn of(&self, vf: f64, excess: f64) -> f64 {
         -self.factor * vf * excess
