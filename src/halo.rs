@@ -92,6 +92,13 @@ impl<const D: usize> Halo<D> {
             *ghost = own[original as usize];
         }
     }
+
+    /// [`refresh`](Self::refresh) of a field of the particles themselves.
+    pub fn share<T: Copy>(&self, particles: &mut Particles<D>, field: fn(&mut Particles<D>) -> &mut Vec<T>) {
+        let mut values = std::mem::take(field(particles));
+        self.refresh(particles.originals(), &mut values);
+        *field(particles) = values;
+    }
 }
 
 #[cfg(test)]

@@ -288,10 +288,8 @@ impl Fate {
         for d in (0..D).filter(|&d| !tank.periodic[d]) {
             let overshoot = [tank.inner.min[d] - r[d], r[d] - tank.inner.max[d]];
             for (end, overshoot) in overshoot.into_iter().enumerate() {
-                if overshoot <= 0.0 {
-                    continue;
-                }
-                if !tank.open[d][end] && overshoot <= enclosure.tolerance {
+                let slack = if tank.open[d][end] { 0.0 } else { enclosure.tolerance };
+                if overshoot <= slack {
                     continue;
                 }
                 if !tank.open[d][end] {

@@ -169,10 +169,7 @@ until = 1
     fn forces(wall_force: Option<Vector<2>>) -> Vec<Vector<2>> {
         let names = ["box1", "left", "right", "bottom", "walls"];
         let probes = names.map(|on| format!("{{kind = 'force', name = '{on}', on = '{on}'}}")).join(", ");
-        let text = CASE.replace("[[fluid.block]]\nmin = [0, 0]\nmax = [0.6, 0.4]\n", "");
-        let blocks = "[{min = [0, 0], max = [0.2, 0.4]}]".to_owned();
-        let sets = [("probe", format!("[{probes}]")), ("fluid.block", blocks)];
-        let case = read::read(&text, "bath", &sets.map(|(k, v)| (k.to_owned(), v))).unwrap();
+        let case = read::read(CASE, "bath", &[("probe".to_owned(), format!("[{probes}]"))]).unwrap();
         let scene = build::scene::<2>(&case);
         let mut particles = scene.particles;
         let depth = |y: f64| 0.4 - y;

@@ -255,9 +255,7 @@ impl<const D: usize> Isph<D> {
         }
         self.assembler.scatter(particles);
         self.walls.extend_pressure(particles, &self.support.active);
-        let mut pressure = std::mem::take(&mut particles.pressure);
-        self.halo.refresh(particles.originals(), &mut pressure);
-        particles.pressure = pressure;
+        self.halo.share(particles, |particles| &mut particles.pressure);
         clipped
     }
 
@@ -310,9 +308,7 @@ impl<const D: usize> Isph<D> {
             *r += 0.5 * dt * (v - new + change);
         }
         self.halo.place(particles);
-        let mut velocity = std::mem::take(&mut particles.velocity);
-        self.halo.refresh(particles.originals(), &mut velocity);
-        particles.velocity = velocity;
+        self.halo.share(particles, |particles| &mut particles.velocity);
     }
 
     fn shift(&mut self, particles: &mut Particles<D>, dt: f64) {

@@ -289,7 +289,7 @@ impl<const D: usize> Wcsph<D> {
             });
         self.halo.refresh(particles.originals(), &mut self.density);
         self.halo.refresh(particles.originals(), &mut self.push);
-        share(&self.halo, particles, |particles| &mut particles.pressure);
+        self.halo.share(particles, |particles| &mut particles.pressure);
     }
 
     /// rho += dt drho/dt by Eq. (2) alone.
@@ -413,7 +413,7 @@ impl<const D: usize> Wcsph<D> {
         let first = particles.solids();
         let fluid = particles.velocity[first..].par_iter_mut().zip(&self.rates).with_min_len(1024);
         fluid.for_each(|(v, rates)| *v += dt * rates.acceleration);
-        share(&self.halo, particles, |particles| &mut particles.velocity);
+        self.halo.share(particles, |particles| &mut particles.velocity);
     }
 
     fn diffuse(&mut self, particles: &Particles<D>, dt: f64) {
@@ -429,7 +429,7 @@ impl<const D: usize> Wcsph<D> {
             *v = before.0 + dt * rates.acceleration;
             *density = before.1 + dt * (rates.continuity + rates.diffusion);
         });
-        share(&self.halo, particles, |particles| &mut particles.velocity);
+        self.halo.share(particles, |particles| &mut particles.velocity);
     }
 
     /// Position Verlet; see the module.
@@ -465,7 +465,7 @@ impl<const D: usize> Wcsph<D> {
         shifting.compute(&self.around(particles), particles, &self.moments, &self.surface, &mut moves);
         Shifting::apply(particles, &moves);
         self.halo.place(particles);
-        share(&self.halo, particles, |particles| &mut particles.velocity);
+        self.halo.share(particles, |particles| &mut particles.velocity);
         self.moves = moves;
     }
 
@@ -480,7 +480,7 @@ impl<const D: usize> Wcsph<D> {
             variation = variation.max((*crowding - 1.0).abs());
             acceleration = acceleration.max(rates.acceleration.norm_squared());
         }
-        share(&self.halo, particles, |particles| &mut particles.pressure);
+        self.halo.share(particles, |particles| &mut particles.pressure);
         self.halo.refresh(particles.originals(), &mut self.crowding);
         self.acceleration = self.ranks.max(acceleration.sqrt());
         self.largest_variation = self.ranks.max(variation).max(self.largest_variation);
@@ -562,17 +562,6 @@ impl Pairs {
     }
 }
 
-/// Gives ghosts the values of their originals in a field of the particles themselves.
-fn share<const D: usize, T: Copy>(
-    halo: &Halo<D>,
-    particles: &mut Particles<D>,
-    field: fn(&mut Particles<D>) -> &mut Vec<T>,
-) {
-    let mut values = std::mem::take(field(particles));
-    halo.refresh(particles.originals(), &mut values);
-    *field(particles) = values;
-}
-
 /// Hydrostatic pressure, in Pa, of each piece of liquid under its own top: a particle carries the weight of the column
 /// of particles on it, and half a spacing on top of the highest. Where columns of different height meet, the flow
 /// starts with that difference, as when a gate is drawn at once.
@@ -625,7 +614,7 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
     fn start(&mut self, particles: &mut Particles<D>) -> Result<()> {
         self.survey(particles);
         hydrostatic(particles, &self.neighbors, &self.params);
-        share(&self.halo, particles, |particles| &mut particles.pressure);
+        self.halo.share(particles, |particles| &mut particles.pressure);
         self.densities(particles);
         self.pressures(particles);
         self.rates(particles);
