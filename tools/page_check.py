@@ -81,7 +81,7 @@ class Browser:
         method, params = message.get("method", ""), message.get("params", {})
         if method == "Runtime.exceptionThrown":
             self.problems.append(params["exceptionDetails"].get("exception", {}).get("description", "exception"))
-        if method == "Log.entryAdded" and params["entry"]["level"] in ("error", "warning"):
+        if method == "Log.entryAdded" and params["entry"]["level"] == "error":
             self.problems.append(params["entry"]["text"])
         self.loaded |= method == "Page.loadEventFired"
         return message

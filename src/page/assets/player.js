@@ -35,7 +35,7 @@ class Player {
     this.bounds();
   }
 
-  // What is shown: the tank and, above it, as far as particles get.
+  // What is shown: the tank, whose spray may fly far above it; without one, as far as particles get.
   bounds() {
     const { movie, frames } = this, { dimension, slots, origin, unit } = movie;
     this.low = []; this.high = [];
@@ -50,8 +50,8 @@ class Player {
         }
       }
       const tank = movie.tank;
-      this.low[d] = Math.min(origin[d] + unit * low, tank ? tank[0][d] : Infinity);
-      this.high[d] = Math.max(origin[d] + unit * high, tank ? tank[1][d] : -Infinity);
+      this.low[d] = tank ? tank[0][d] - movie.diameter : origin[d] + unit * low;
+      this.high[d] = tank ? tank[1][d] + movie.diameter : origin[d] + unit * high;
     }
     this.middle = this.low.map((low, d) => 0.5 * (low + this.high[d]));
     this.size = Math.hypot(...this.low.map((low, d) => this.high[d] - low));
