@@ -57,14 +57,19 @@ fn a_page_shows_the_run_and_loads_nothing() {
 }
 
 #[test]
-fn names_cannot_break_the_page() {
+fn texts_cannot_break_the_page() {
     let folder = sample();
     let path = folder.path().join("run/run.toml");
     let text = fs::read_to_string(&path).unwrap();
     let evil = "</script><script>alert(1)</script>&<b>";
-    fs::write(&path, text.replace("\"dam_break_2d\"", &format!("{evil:?}"))).unwrap();
+    // Names are proven, descriptions are free.
+    let described = |line: &str| match line.starts_with("description") {
+        true => format!("description = {evil:?}\n"),
+        false => format!("{line}\n"),
+    };
+    fs::write(&path, text.lines().map(described).collect::<String>()).unwrap();
     let (html, data) = page(folder.path(), "run");
-    assert_eq!(data["title"], evil);
+    assert_eq!(data["description"], evil);
     assert!(!html.contains("<script>alert") && html.matches("</script>").count() == 5);
 }
 

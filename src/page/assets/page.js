@@ -217,7 +217,8 @@ async function movie({ movie }, place) {
     canvas.onpointerup = canvas.onpointercancel = () => { held = null; };
   }
   legend();
-  let width = 0;
+  shown.resize();
+  let width = canvas.clientWidth;
   new ResizeObserver(() => {
     if (canvas.clientWidth === width) return;
     width = canvas.clientWidth;
