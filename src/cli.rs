@@ -16,7 +16,8 @@ use crate::{Error, Result};
 const USAGE: &str = "sphpetsc [CASE] [--own-options] [-petsc_options]
        sphpetsc cases [show NAME]
        sphpetsc check [CASE] [--own-options]
-       sphpetsc study [CASE] [--own-options] [-petsc_options]";
+       sphpetsc study [CASE] [--own-options] [-petsc_options]
+       sphpetsc report DIR";
 
 const PETSC_HELP: &str = "PETSc options:
   A token with one dash and more than one letter goes to PETSc with its value, anywhere after CASE:
@@ -34,6 +35,8 @@ pub enum Command {
     Check(Box<RunArgs>),
     /// Run a case with several schemes and spacings.
     Study(Box<StudyArgs>),
+    /// Write the page of a run or a study.
+    Report(ReportArgs),
     /// List the built-in cases.
     Cases,
     /// Print the TOML of a built-in case.
@@ -63,6 +66,8 @@ enum Task {
     Check(Box<RunArgs>),
     /// Run a case with several schemes and spacings: errors over run times, as a table and a picture
     Study(Box<StudyArgs>),
+    /// Write one self-contained HTML page of a run or a study, DIR/report.html
+    Report(ReportArgs),
 }
 
 #[derive(Debug, Subcommand)]
@@ -190,6 +195,17 @@ pub struct StudyArgs {
     pub petsc: Vec<String>,
 }
 
+/// Whose page is wanted.
+#[derive(Debug, Clone, Default, PartialEq, Args)]
+pub struct ReportArgs {
+    /// Folder of a run or a study
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// Print errors only
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
 /// The data file of a reference.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReferenceFile {
@@ -213,9 +229,14 @@ pub fn parse(args: impl IntoIterator<Item = impl Into<OsString>>) -> Result<Comm
         Err(error) => return Err(Error::Input(one_sentence(&error))),
     };
     if let Some(option) = petsc.first() {
-        if matches!(cli.task, Some(Task::Cases { .. })) {
+        let idle = match cli.task {
+            Some(Task::Cases { .. }) => Some("cases"),
+            Some(Task::Report(_)) => Some("report"),
+            _ => None,
+        };
+        if let Some(task) = idle {
             return Err(Error::Input(format!(
-                "{option} is a PETSc option, and `cases` solves nothing: leave it out"
+                "{option} is a PETSc option, and `{task}` solves nothing: leave it out"
             )));
         }
         if !cfg!(feature = "petsc") {
@@ -236,6 +257,7 @@ pub fn parse(args: impl IntoIterator<Item = impl Into<OsString>>) -> Result<Comm
         None => Command::Run(Box::new(cli.run)),
         Some(Task::Check(run)) => Command::Check(run),
         Some(Task::Study(study)) => Command::Study(study),
+        Some(Task::Report(report)) => Command::Report(report),
         Some(Task::Cases { show: None }) => Command::Cases,
         Some(Task::Cases { show: Some(Show::Show { name }) }) => Command::ShowCase(name),
     })
@@ -553,7 +575,7 @@ fn assignment(text: &str) -> std::result::Result<(String, String), String> {
     }
 }
 
-fn reference(text: &str) -> std::result::Result<ReferenceFile, String> {
+pub(crate) fn reference(text: &str) -> std::result::Result<ReferenceFile, String> {
     let (name, file) = match text.split_once('=') {
         Some((name, file)) => (Some(name.to_owned()), file),
         None => (None, text),

@@ -44,6 +44,7 @@
 //! - [`exact`]: flows with a known solution
 //! - [`case`]: case files; [`patch_test`]: the operators on known fields
 //! - [`run`], [`cli`]: a run from the command line to its folder; [`study`]: many runs, their errors over their run times
+//! - [`page`]: one HTML page of a run or a study
 
 #![deny(unsafe_code)]
 
@@ -59,6 +60,7 @@ pub mod motion;
 pub mod neighbors;
 pub mod operators;
 pub mod output;
+pub mod page;
 pub mod parallel;
 pub mod particles;
 pub mod patch_test;

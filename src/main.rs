@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use log::{Level, Log, Metadata, Record};
 use sphpetsc::cli::{self, Command};
-use sphpetsc::{Result, run, study};
+use sphpetsc::{Result, page, run, study};
 
 fn main() -> ExitCode {
     std::panic::set_hook(Box::new(report_panic));
@@ -32,6 +32,7 @@ fn execute() -> Result<()> {
             start_log(args.log_level());
             run::run(&args, &args.load_case()?)
         }
+        Command::Report(args) => page::write(&args),
         Command::Study(args) => {
             start_log(args.log_level());
             study::study(&args)

@@ -8,10 +8,11 @@
 use std::fs;
 use std::io::{self, Write};
 use std::ops::Range;
+use std::panic;
 use std::path::{Path, PathBuf};
 
 use vtkio::model::{
-    Attribute, Attributes, ByteOrder, DataArray, DataSet, IOBuffer, Piece, PolyDataPiece, Version,
+    Attribute, Attributes, ByteOrder, DataArray, DataSet, IOBuffer, Piece, PolyDataPiece, Scalar, Version,
     VertexNumbers, Vtk,
 };
 use vtkio::xml::Compressor;
@@ -142,6 +143,82 @@ fn three_components<T: Copy + Default>(
             padded
         })
         .collect()
+}
+
+/// What [`read_vtp`] finds of the particles of a run.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Stored {
+    /// Three coordinates a particle, in m.
+    pub positions: Vec<f64>,
+    /// Three components a particle, in m/s.
+    pub velocity: Vec<f64>,
+    /// In Pa.
+    pub pressure: Vec<f64>,
+    /// Code of the kind of particle.
+    pub kind: Vec<u8>,
+    /// Global numbers.
+    pub ids: Vec<u64>,
+}
+
+/// Reads particles that [`write_vtp`] wrote.
+///
+/// # Errors
+/// [`Error::Input`] for a file that is damaged or lacks one of the quantities.
+pub fn read_vtp(path: &Path) -> Result<Stored> {
+    let damaged = |why: &str| {
+        let file = path.display();
+        Error::Input(format!("{file}: cannot be read ({why}): restore the file or run the case again"))
+    };
+    let bytes = fs::read(path).map_err(|error| damaged(&error.to_string()))?;
+    // vtkio does not read a file without pieces, as VTK does.
+    if bytes == EMPTY.as_bytes() {
+        return Ok(Stored::default());
+    }
+    // It also trusts the numbers in front of an array, and panics where these are wrong.
+    let parsed = panic::catch_unwind(|| Vtk::parse_xml(bytes.as_slice()));
+    let Ok(Ok(Vtk { data: DataSet::PolyData { pieces, .. }, .. })) = parsed else {
+        return Err(damaged("it is no whole VTP file"));
+    };
+    let mut all = Stored::default();
+    for piece in pieces {
+        let Piece::Inline(piece) = piece else { return Err(damaged("its pieces are elsewhere")) };
+        let count = piece.num_points();
+        all.positions.extend(numbers::<f64>(&piece.points, 3 * count).ok_or_else(|| damaged("no points"))?);
+        let lacking = |name: &str| damaged(&format!("it has no whole array {name}"));
+        all.velocity.extend(array::<f64>(&piece, "velocity", 3).ok_or_else(|| lacking("velocity"))?);
+        all.pressure.extend(array::<f64>(&piece, "pressure", 1).ok_or_else(|| lacking("pressure"))?);
+        all.kind.extend(array::<u8>(&piece, "kind", 1).ok_or_else(|| lacking("kind"))?);
+        all.ids.extend(array::<u64>(&piece, "id", 1).ok_or_else(|| lacking("id"))?);
+    }
+    Ok(all)
+}
+
+fn array<T: Scalar>(piece: &PolyDataPiece, name: &str, components: usize) -> Option<Vec<T>> {
+    let data = piece.data.point.iter().find_map(|attribute| match attribute {
+        Attribute::DataArray(array) if array.name == name => Some(&array.data),
+        _ => None,
+    });
+    numbers(data?, components * piece.num_points())
+}
+
+fn numbers<T: Scalar>(data: &IOBuffer, count: usize) -> Option<Vec<T>> {
+    data.cast_into::<T>().filter(|values| values.len() == count)
+}
+
+/// Times in s and files of the collection at `path`; none if it does not exist.
+///
+/// # Errors
+/// [`Error::Input`] if it cannot be read.
+pub fn snapshots(path: &Path) -> Result<Vec<(f64, PathBuf)>> {
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    let text = fs::read_to_string(path).map_err(|error| {
+        Error::Input(format!("{}: cannot be read ({error}): restore the file", path.display()))
+    })?;
+    let pvd = Pvd::create(path);
+    let file = |(index, time)| (time, path.with_file_name(pvd.file(index)));
+    Ok(times_in(&text).into_iter().enumerate().map(file).collect())
 }
 
 /// A collection `NAME.pvd` of the snapshots `NAME/NAME-000000.vtp`, ... with their times.

@@ -31,7 +31,7 @@ const SUCTION: f64 = 0.05;
 
 /// Which pressures in Pa the colours stand for.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct ColorScale {
+pub(crate) struct ColorScale {
     pub low: f64,
     pub high: f64,
 }

@@ -16,11 +16,11 @@ use crate::simulation::{Observer, Simulation};
 use crate::{Error, Result};
 
 /// Subfolder of a run that holds its pictures.
-const FOLDER: &str = "pictures";
+pub(crate) const FOLDER: &str = "pictures";
 /// Tables whose columns are gauges, each worth a picture.
-const GAUGES: [&str; 2] = ["probes.csv", "forces.csv"];
+pub(crate) const GAUGES: [&str; 2] = ["probes.csv", "forces.csv"];
 /// Columns of history.csv that share the picture of the energies.
-const ENERGIES: [&str; 3] = ["kinetic_energy_j", "potential_energy_j", "energy_j"];
+pub(crate) const ENERGIES: [&str; 3] = ["kinetic_energy_j", "potential_energy_j", "energy_j"];
 
 /// Particle pictures of a run, `pictures/t0.400000.png`: at the snapshots of the case, and the last state.
 pub struct Pictures<const D: usize> {
@@ -142,7 +142,7 @@ fn title(case: &CaseFile) -> String {
 }
 
 /// Name and unit of a column such as `p1_pa`.
-fn quantity(column: &str) -> (String, &'static str) {
+pub(crate) fn quantity(column: &str) -> (String, &'static str) {
     let units = [("_pa", "Pa"), ("_m", "m"), ("_n", "N"), ("_j", "J"), ("_m_per_s", "m/s"), ("_kg", "kg")];
     // The longest: `_m_per_s` ends in `_s`, not in `_m`.
     let found = units.iter().filter_map(|(end, unit)| Some((column.strip_suffix(end)?, *unit)));

@@ -5,7 +5,7 @@
 //! (SIL Open Font License, crate `notosans`), read by `ab_glyph`. So no font library and no installed font is needed, and a
 //! picture looks the same on a cluster node as on a desk.
 
-mod color;
+pub(crate) mod color;
 pub mod curves;
 pub mod gallery;
 pub mod particles;

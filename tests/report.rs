@@ -1,0 +1,138 @@
+//! Pages of runs and studies: whole, safe against what files say, and never made of damaged ones.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn run(folder: &Path, line: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sphpetsc"));
+    command.current_dir(folder).args(line.split_whitespace()).output().unwrap()
+}
+
+fn done(folder: &Path, line: &str) {
+    let output = run(folder, line);
+    assert_eq!(output.status.code(), Some(0), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// A run of 50 particles, which needs no PETSc.
+fn sample() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    done(folder.path(), "dam_break_2d --scheme wcsph --spacing 0.04 --until 0.1 --threads 1 --out run -q");
+    folder
+}
+
+/// The page of a folder, and what it shows.
+fn page(folder: &Path, name: &str) -> (String, Value) {
+    done(folder, &format!("report {name} -q"));
+    let html = fs::read_to_string(folder.join(name).join("report.html")).unwrap();
+    let (_, data) = html.split_once(r#"id="data">"#).unwrap();
+    let (data, _) = data.split_once("</script>").unwrap();
+    let data = serde_json::from_str(data).unwrap();
+    (html, data)
+}
+
+fn headings(page: &Value) -> Vec<&str> {
+    page["sections"].as_array().unwrap().iter().map(|s| s["heading"].as_str().unwrap()).collect()
+}
+
+#[test]
+fn a_page_shows_the_run_and_loads_nothing() {
+    let folder = sample();
+    let (html, data) = page(folder.path(), "run");
+    assert!(html.len() < 5_000_000 && html.contains("default-src 'none'"));
+    assert_eq!((&data["title"], &data["good"]), (&"dam_break_2d".into(), &true.into()));
+    let wanted = ["Found beside expected", "Flow", "Histories", "Time by stage", "Pictures", "What was run"];
+    assert_eq!(headings(&data), wanted);
+    let movie = &data["sections"][1]["parts"][0]["movie"];
+    assert_eq!((movie["dimension"].as_u64(), movie["fluid"].as_u64()), (Some(2), Some(50)));
+    assert!(movie["times"].as_array().unwrap().len() > 5);
+    // A second page replaces the first, but not a file of somebody else.
+    page(folder.path(), "run");
+    fs::write(folder.path().join("run/report.html"), "mine").unwrap();
+    refused(folder.path(), "report run", "no page of this program");
+    assert_eq!(fs::read_to_string(folder.path().join("run/report.html")).unwrap(), "mine");
+}
+
+#[test]
+fn texts_cannot_break_the_page() {
+    let folder = sample();
+    let path = folder.path().join("run/run.toml");
+    let text = fs::read_to_string(&path).unwrap();
+    let evil = "</script><script>alert(1)</script>&<b>";
+    // Names are proven, descriptions are free.
+    let described = |line: &str| match line.starts_with("description") {
+        true => format!("description = {evil:?}\n"),
+        false => format!("{line}\n"),
+    };
+    fs::write(&path, text.lines().map(described).collect::<String>()).unwrap();
+    let (html, data) = page(folder.path(), "run");
+    assert_eq!(data["description"], evil);
+    assert!(!html.contains("<script>alert") && html.matches("</script>").count() == 5);
+}
+
+fn refused(folder: &Path, line: &str, wanted: &str) {
+    let output = run(folder, line);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{line}: {said}");
+    assert!(said.lines().count() == 1 && said.contains(wanted), "{line}: {said}");
+}
+
+#[test]
+fn wrong_folders_and_damaged_files_are_named_in_one_sentence() {
+    let folder = sample();
+    let at = |name: &str| folder.path().join(name);
+    refused(folder.path(), "report nowhere", "there is no folder nowhere");
+    refused(folder.path(), "report run -ksp_type cg", "PETSc");
+    fs::create_dir(at("empty")).unwrap();
+    refused(folder.path(), "report empty", "neither summary.json nor study.csv");
+    let frame = "run/particles/particles-000003.vtp";
+    for name in ["run/history.csv", frame, "run/summary.json"] {
+        let whole = fs::read(at(name)).unwrap();
+        fs::write(at(name), &whole[..whole.len() * 2 / 3 - 7]).unwrap();
+        refused(folder.path(), "report run", name);
+        fs::write(at(name), &whole).unwrap();
+    }
+    let whole = fs::read_to_string(at(frame)).unwrap();
+    // The count of blocks in front of an array.
+    fs::write(at(frame), whole.replace("AQAAAAAAAAAA", "/////////wAA")).unwrap();
+    refused(folder.path(), "report run", frame);
+    fs::remove_file(at(frame)).unwrap();
+    refused(folder.path(), "report run", frame);
+    assert!(!at("run/report.html").exists(), "nothing was written");
+}
+
+#[test]
+fn a_study_has_a_page_with_its_table() {
+    let folder = tempfile::tempdir().unwrap();
+    done(
+        folder.path(),
+        "study dam_break_2d --schemes wcsph --spacings 0.08,0.04 --until 0.05 --threads 1 --out st -q",
+    );
+    page(&folder.path().join("st/runs"), "wcsph-0.04");
+    let (_, data) = page(folder.path(), "st");
+    assert_eq!(headings(&data), ["Runs", "Error over run time", "How the runs ended", "Picture"]);
+    let table = &data["sections"][0]["parts"][0];
+    assert_eq!(table["rows"].as_array().unwrap().len(), 2);
+    assert_eq!(table["links"][1], "runs/wcsph-0.04/report.html");
+}
+
+/// The way a user goes: open the page.
+#[test]
+fn chromium_shows_the_page() {
+    let installed = |program: &str| Command::new(program).arg("--version").output().is_ok();
+    if !installed("chromium") || !installed("python3") {
+        eprintln!("skipped: no chromium (Debian package chromium) or no python3");
+        return;
+    }
+    let folder = sample();
+    page(folder.path(), "run");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/page_check.py");
+    let output =
+        Command::new("python3").arg(script).arg(folder.path().join("run/report.html")).output().unwrap();
+    let said =
+        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && said.contains("player:"), "{said}");
+}
