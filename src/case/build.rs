@@ -45,6 +45,12 @@ pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
     };
     let mut particles = lattice.particles(layers(D, params.support() / case.spacing), velocity);
     jitter(&mut particles, case.scheme.jitter * case.spacing, case.seed);
+    // A scheme that solves for the pressure finds it.
+    if let Some(exact) = exact.filter(|_| !case.scheme.kind.solves()) {
+        for a in particles.fluid() {
+            particles.pressure[a] = exact.initial_pressure(&particles.position[a]);
+        }
+    }
     let moved = case.probes.iter().flat_map(|probe| moved_gauge(case, &lattice, probe));
     let snapped = lattice.snapped.iter().cloned().chain(moved).collect();
     Scene { particles, params, enclosure: lattice.enclosure(), lattice, snapped }
@@ -145,13 +151,19 @@ pub fn wcsph<const D: usize>(case: &CaseFile, scene: &Scene<D>) -> wcsph::Method
     // 2 sqrt(g H): the front of a dam break (Ritter 1892).
     let expected = 2.0 * (gravity * depth).sqrt() + speed;
     let plain = scheme.kind == SchemeKind::WcsphMonaghan;
+    let sound_speed = scheme.sound_speed.unwrap_or(SOUND_RATIO * expected);
+    // The laminar viscosity as an alpha: both terms have the same shape.
+    let laminar =
+        2.0 * (D + 2) as f64 * params.kinematic_viscosity / (sound_speed * params.smoothing_length());
+    let what_is_lacking = (scheme.artificial_viscosity - laminar).max(0.0);
     wcsph::Method {
-        sound_speed: scheme.sound_speed.unwrap_or(SOUND_RATIO * expected),
-        artificial_viscosity: scheme.artificial_viscosity,
+        sound_speed,
+        artificial_viscosity: if plain { scheme.artificial_viscosity } else { what_is_lacking },
         wall_pressure: !plain,
         repulsion: Repulsion::new(gravity, depth, speed, if plain { 1.0 } else { GUARD } * params.spacing),
         density_diffusion: if plain { DiffusionKind::None } else { scheme.density_diffusion },
         density_diffusion_coefficient: scheme.density_diffusion_coefficient,
+        differences_in_closed_liquid: !plain,
         shifting: if plain { 0.0 } else { scheme.shifting },
         stepping: if plain { super::Stepping::PredictorCorrector } else { scheme.stepping },
         courant: case.time.courant,

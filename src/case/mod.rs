@@ -251,14 +251,15 @@ pub struct SchemeParams {
     pub kind: SchemeKind,
     /// Smoothing kernel.
     pub kernel: KernelKind,
-    /// Smoothing length over particle spacing, h / dx.
+    /// Smoothing length over particle spacing, h / dx: 1.2, for `wcsph` in 2D 2.
     pub smoothing_ratio: f64,
     /// Discrete Laplacian of the pressure equation.
     pub laplacian: LaplacianKind,
     /// Artificial speed of sound in m/s (WCSPH); absent: ten times the greatest speed to be expected.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sound_speed: Option<f64>,
-    /// Coefficient alpha of the artificial viscosity (WCSPH). `wcsph`: 0.02, enough beside the density diffusion.
+    /// Coefficient alpha of the artificial viscosity (WCSPH). `wcsph`: 0.02, enough beside the density diffusion, and less
+    /// by what the laminar viscosity does already.
     /// `wcsph_monaghan`: 0.1, since at the 0.01 of Monaghan (1994), who smooths velocities as well, the density strays by
     /// 30 % in the 2D dam break at a spacing of 0.01 m, and at 0.1 by 8 %.
     pub artificial_viscosity: f64,
@@ -286,17 +287,17 @@ pub struct SchemeParams {
 
 impl Default for SchemeParams {
     fn default() -> Self {
-        Self::of(SchemeKind::IsphDf)
+        Self::of(SchemeKind::IsphDf, 2)
     }
 }
 
 impl SchemeParams {
-    /// Defaults of one method.
-    pub fn of(kind: SchemeKind) -> Self {
+    /// Defaults of one method in a dimension.
+    pub fn of(kind: SchemeKind, dimension: usize) -> Self {
         Self {
             kind,
             kernel: KernelKind::WendlandC2,
-            smoothing_ratio: 1.2,
+            smoothing_ratio: if kind == SchemeKind::Wcsph && dimension == 2 { 2.0 } else { 1.2 },
             laplacian: LaplacianKind::Schwaiger,
             sound_speed: None,
             artificial_viscosity: if kind == SchemeKind::WcsphMonaghan { 0.1 } else { 0.02 },
@@ -427,13 +428,14 @@ pub struct TimeParams {
 impl TimeParams {
     /// Courant number of adaptive steps of one method.
     ///
-    /// `wcsph`: the 2D dam break at a spacing of 0.01 m runs its 4 s alike at 0.6, 0.8 and 1 (front at the wall at 0.314 to
+    /// `wcsph`: proportional to h, as its limit is, 0.7 at h / dx = 1.2 and at most 1. There the 2D dam break at a spacing of
+    /// 0.01 m runs its 4 s alike at 0.6, 0.8 and 1 (front at the wall at 0.314 to
     /// 0.316 s, no energy gained beyond 0.3 %); the density strays by 3.8 % at 0.6 and by 6.1 % at 1. With predictor and
     /// corrector instead of position Verlet water at rest without density diffusion stays calm at 0.5 and does not at 0.7.
     /// `wcsph_monaghan`, which steps so: at 0.6 nothing leaves that tank, at 0.8 a particle does, and at 1 the run fails.
     pub fn courant_of(scheme: &SchemeParams) -> f64 {
         match (scheme.kind, scheme.stepping) {
-            (SchemeKind::Wcsph, Stepping::Symplectic) => 0.7,
+            (SchemeKind::Wcsph, Stepping::Symplectic) => (0.7 * (scheme.smoothing_ratio / 1.2)).min(1.0),
             (SchemeKind::Wcsph | SchemeKind::WcsphMonaghan, _) => 0.5,
             _ => 0.35,
         }

@@ -632,7 +632,7 @@ fn read_motion(r: &Reader) -> Option<Motion> {
 
 fn read_scheme(r: &Reader) -> SchemeParams {
     let kind = r.variant("kind").or(SchemeParams::default().kind);
-    let default = SchemeParams::of(kind);
+    let default = SchemeParams::of(kind, r.dimension);
     SchemeParams {
         kind,
         kernel: r.variant("kernel").or(default.kernel),

@@ -18,6 +18,7 @@ pub struct StretchingDrop {
     centre: [f64; 2],
     rate: f64,
     density: f64,
+    radius: f64,
     /// (a, b, s).
     solution: Trajectory<3>,
 }
@@ -31,7 +32,7 @@ impl StretchingDrop {
         let centre = [0, 1].map(|d| 0.5 * (block.min[d] + block.max[d]));
         let radius = 0.5 * (block.max[0] - block.min[0]);
         let solution = Trajectory::new([radius, radius, rate], until, STEPS, derivative);
-        Self { centre, rate, density, solution }
+        Self { centre, rate, density, radius, solution }
     }
 }
 
@@ -45,6 +46,11 @@ impl<const D: usize> Exact<D> for StretchingDrop {
         v[0] = -self.rate * (r[0] - self.centre[0]);
         v[1] = self.rate * (r[1] - self.centre[1]);
         v
+    }
+
+    fn initial_pressure(&self, r: &Vector<D>) -> f64 {
+        let square: f64 = (0..2).map(|d| (r[d] - self.centre[d]).powi(2)).sum();
+        0.5 * self.density * self.rate * self.rate * (self.radius * self.radius - square).max(0.0)
     }
 
     fn quantities(&self) -> Vec<Quantity> {

@@ -1,6 +1,6 @@
 //! Flows whose solution is known: where they start, and how far a run is from them.
 //!
-//! A case names its solution; the liquid then starts with its velocity, `exact.csv` records found and exact values side
+//! A case names its solution; the liquid then starts with its velocity (and, where no equation is solved for it, its pressure), `exact.csv` records found and exact values side
 //! by side, and the end table gives the errors, each divided by what its entry says.
 
 mod drop;
@@ -19,6 +19,11 @@ use serde::Serialize;
 pub trait Exact<const D: usize> {
     /// Velocity at the start in m/s.
     fn initial_velocity(&self, r: &Vector<D>) -> Vector<D>;
+
+    /// Pressure at the start in Pa, for schemes whose pressure is a state; 0 where gravity gives it.
+    fn initial_pressure(&self, _r: &Vector<D>) -> f64 {
+        0.0
+    }
 
     /// What is compared, in the order of [`compare`](Self::compare).
     fn quantities(&self) -> Vec<Quantity>;

@@ -12,6 +12,7 @@ use crate::scheme::Params;
 
 pub struct TaylorGreen {
     speed: f64,
+    density: f64,
     wave_number: f64,
     decay_rate: f64,
 }
@@ -20,7 +21,12 @@ impl TaylorGreen {
     pub fn new<const D: usize>(speed: f64, params: &Params<D>) -> Self {
         let side = params.periodic.and_then(|domain| domain.period[0]).unwrap_or(1.0);
         let wave_number = std::f64::consts::TAU / side;
-        Self { speed, wave_number, decay_rate: 2.0 * params.kinematic_viscosity * wave_number.powi(2) }
+        Self {
+            speed,
+            density: params.density,
+            wave_number,
+            decay_rate: 2.0 * params.kinematic_viscosity * wave_number.powi(2),
+        }
     }
 
     fn mode<const D: usize>(&self, r: &Vector<D>) -> Vector<D> {
@@ -34,6 +40,11 @@ impl TaylorGreen {
 impl<const D: usize> Exact<D> for TaylorGreen {
     fn initial_velocity(&self, r: &Vector<D>) -> Vector<D> {
         self.speed * self.mode(r)
+    }
+
+    fn initial_pressure(&self, r: &Vector<D>) -> f64 {
+        let phase = |x: f64| (2.0 * self.wave_number * x).cos();
+        -0.25 * self.density * self.speed * self.speed * (phase(r[0]) + phase(r[1]))
     }
 
     fn quantities(&self) -> Vec<Quantity> {
