@@ -125,7 +125,10 @@ pub struct RunArgs {
     #[arg(value_parser = seconds, allow_negative_numbers = true)]
     pub save_systems: Vec<f64>,
 
-    /// Threads [default: all cores]
+    /// Ranks: starts itself under mpiexec
+    #[arg(long, value_name = "N", value_parser = threads, allow_negative_numbers = true, help_heading = "Program")]
+    pub ranks: Option<usize>,
+    /// Threads of each rank [default: all cores, over the ranks of a machine]
     #[arg(long, value_name = "N", value_parser = threads, allow_negative_numbers = true, help_heading = "Program")]
     pub threads: Option<usize>,
     /// Print errors only

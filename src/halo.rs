@@ -4,8 +4,20 @@
 //! kernel support of one side appears as a ghost beyond the other. A ghost is the same particle at another place, so
 //! every field of it is that of its original. Fields computed for the originals are copied over by
 //! [`Halo::refresh`] before a sum over neighbours reads them.
+//!
+//! **Ranks** meet in the same way. Each owns a slab of the scene ([`partition`](crate::parallel::partition)); liquid that
+//! drifts into another slab moves to its rank, and liquid within reach of another slab (or whose periodic copy is) has a ghost there.
+//! Solids do not move: every rank keeps all of them, numbered alike, as geometry, which costs memory but no traffic.
+//! Each solid particle is *held* by one rank, the one whose slab it is in, which alone has neighbours, pressure
+//! unknowns and fields for it; a dummy goes with the wall particle it is tied to. The others get
+//! the fields of those near their slab by the same [`Halo::refresh`], in place.
+//!
+//! Hence the reach of ghosts: a support, and on top of it the longest tie, since a dummy may lie that far outside the slab of
+//! the rank that holds it.
 
-use crate::particles::{Particles, Vector};
+use crate::parallel::partition::Slabs;
+use crate::parallel::{Packed, Ranks};
+use crate::particles::{Fluid, Particles, Vector};
 
 /// A box that repeats itself along some of its axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,6 +26,44 @@ pub struct PeriodicBox<const D: usize> {
     pub min: Vector<D>,
     /// Length of a period in m, along the axes that have one.
     pub period: [Option<f64>; D],
+}
+
+impl<const D: usize> PeriodicBox<D> {
+    /// The same place inside the box.
+    fn wrap(&self, r: &mut Vector<D>) {
+        for d in 0..D {
+            if let Some(period) = self.period[d] {
+                r[d] -= period * ((r[d] - self.min[d]) / period).floor();
+            }
+        }
+    }
+
+    /// Appends how far copies of `a` at `r`, within `reach` of a side, lie from it.
+    fn copies(&self, a: u32, r: &Vector<D>, reach: f64, found: &mut Vec<(u32, Vector<D>)>) {
+        let first = found.len();
+        for d in 0..D {
+            let Some(period) = self.period[d] else { continue };
+            let from_low = r[d] - self.min[d];
+            let shift = |offset: f64, found: &mut Vec<(u32, Vector<D>)>| {
+                let mut along = Vector::<D>::zeros();
+                along[d] = offset;
+                found.push((a, along));
+                // Near an edge the ghosts of the axes before have ghosts of their own.
+                for k in first..found.len() - 1 {
+                    let (_, before) = found[k];
+                    if before[d] == 0.0 {
+                        found.push((a, before + along));
+                    }
+                }
+            };
+            if from_low < reach {
+                shift(period, found);
+            }
+            if period - from_low < reach {
+                shift(-period, found);
+            }
+        }
+    }
 }
 
 /// Makes ghosts and keeps their fields up to date.
@@ -25,7 +75,30 @@ pub struct Halo<const D: usize> {
     /// How far each ghost lies from its original.
     offset: Vec<Vector<D>>,
     found: Vec<(u32, Vector<D>)>,
+    ranks: Ranks,
+    /// Everything about other ranks; nothing on one rank.
+    peers: Option<Peers<D>>,
 }
+
+/// What this rank shares with the others.
+#[derive(Debug, Clone)]
+struct Peers<const D: usize> {
+    slabs: Slabs,
+    /// Renewals since the slabs were cut.
+    age: usize,
+    /// Which solids this rank holds.
+    holds: Vec<bool>,
+    /// For each rank: solids held here that it needs, and solids held there that are needed here.
+    solids_out: Vec<Vec<u32>>,
+    solids_in: Vec<Vec<u32>>,
+    /// For each rank: liquid with a ghost there, and how far that lies from it.
+    liquid_out: Vec<Vec<(u32, Vector<D>)>>,
+    /// For each rank: how many ghosts here are of its liquid.
+    liquid_in: Vec<usize>,
+}
+
+/// Renewals between two looks at the balance of the ranks.
+const BALANCE_EVERY: usize = 20;
 
 impl<const D: usize> Halo<D> {
     /// Ghosts within `reach` m of the sides of `domain`; without one there are none.
@@ -33,51 +106,140 @@ impl<const D: usize> Halo<D> {
         Self { domain, reach, ..Self::default() }
     }
 
-    /// Brings particles that left over a periodic side back in, and makes the ghosts anew.
+    /// Spreads `particles` and their like over `ranks`.
+    pub fn over(self, ranks: Ranks, particles: &Particles<D>) -> Self {
+        if !ranks.are_several() {
+            return self;
+        }
+        let walls = particles.walls().len();
+        let ties = particles.dummies().map(|d| {
+            let wall = particles.tie[d - walls] as usize;
+            (particles.position[d][0] - particles.position[wall][0]).abs()
+        });
+        let reach = self.reach + ties.fold(0.0, f64::max);
+        let nobody = vec![vec![]; ranks.count()];
+        let peers = Peers {
+            slabs: Slabs::default(),
+            age: BALANCE_EVERY,
+            holds: vec![],
+            solids_out: nobody.clone(),
+            solids_in: nobody,
+            liquid_out: vec![vec![]; ranks.count()],
+            liquid_in: vec![0; ranks.count()],
+        };
+        Self { ranks, reach, peers: Some(peers), ..self }
+    }
+
+    /// The ranks that it spans.
+    pub fn ranks(&self) -> &Ranks {
+        &self.ranks
+    }
+
+    /// Whether this rank holds particle `a`, no ghost: all liquid that it has, and the solids in its slab.
+    #[inline]
+    pub fn holds(&self, a: usize) -> bool {
+        self.peers.as_ref().is_none_or(|peers| peers.holds.get(a).copied().unwrap_or(true))
+    }
+
+    /// Brings particles that left over a periodic side back in, hands those in other slabs over, and makes the ghosts anew.
     pub fn renew(&mut self, particles: &mut Particles<D>) {
-        let Some(domain) = self.domain else { return };
+        if self.domain.is_none() && self.peers.is_none() {
+            return;
+        }
         particles.drop_ghosts();
+        if let Some(domain) = &self.domain {
+            particles.position.iter_mut().for_each(|r| domain.wrap(r));
+        }
+        self.hand_over(particles);
         self.found.clear();
-        for a in 0..particles.len() {
-            let r = &mut particles.position[a];
-            for d in 0..D {
-                if let Some(period) = domain.period[d] {
-                    r[d] -= period * ((r[d] - domain.min[d]) / period).floor();
-                }
-            }
-            let first = self.found.len();
-            for d in 0..D {
-                let Some(period) = domain.period[d] else { continue };
-                let from_low = r[d] - domain.min[d];
-                let shift = |offset: f64, found: &mut Vec<(u32, Vector<D>)>| {
-                    let mut along = Vector::<D>::zeros();
-                    along[d] = offset;
-                    found.push((a as u32, along));
-                    // Near an edge the ghosts of the axes before have ghosts of their own.
-                    for k in first..found.len() - 1 {
-                        let (_, before) = found[k];
-                        if before[d] == 0.0 {
-                            found.push((a as u32, before + along));
-                        }
-                    }
-                };
-                if from_low < self.reach {
-                    shift(period, &mut self.found);
-                }
-                if period - from_low < self.reach {
-                    shift(-period, &mut self.found);
-                }
+        if let Some(domain) = &self.domain {
+            for (a, r) in particles.position.iter().enumerate() {
+                domain.copies(a as u32, r, self.reach, &mut self.found);
             }
         }
         // In the order of all particles: walls and dummies before the fluid.
         particles.append_ghosts(self.found.iter().map(|(a, _)| *a));
         self.offset.clear();
         self.offset.extend(self.found.iter().map(|(_, offset)| *offset));
-        self.place(particles);
+        self.place_copies(particles);
+        self.meet(particles);
+    }
+
+    /// Gives liquid to the ranks in whose slabs it is, after cutting new slabs if need be.
+    fn hand_over(&mut self, particles: &mut Particles<D>) {
+        let Some(peers) = &mut self.peers else { return };
+        peers.age += 1;
+        if peers.age > BALANCE_EVERY {
+            peers.age = 0;
+            let x = particles.position[particles.fluid()].iter().map(|r| r[0]);
+            if peers.holds.is_empty() || Slabs::are_uneven(&self.ranks, x.len()) {
+                peers.slabs = Slabs::balanced(&self.ranks, x, 0.25 * self.reach);
+                peers.deal_solids(particles, &self.ranks, self.domain.as_ref(), self.reach);
+            }
+        }
+        let owner = |r: &Vector<D>| peers.slabs.owner(r[0]);
+        let mut parts = vec![vec![]; self.ranks.count()];
+        for a in particles.fluid() {
+            let q = owner(&particles.position[a]);
+            if q != self.ranks.rank() {
+                pack(&particles.fluid_particle(a), &mut parts[q]);
+            }
+        }
+        let stays: Vec<bool> = particles.position.iter().map(|r| owner(r) == self.ranks.rank()).collect();
+        particles.retain_fluid(|a| stays[a]);
+        for part in self.ranks.exchange(parts) {
+            particles.take_in(part.chunks_exact(2 * D + 2).map(unpack));
+        }
+    }
+
+    /// Ghosts of liquid on other ranks.
+    fn meet(&mut self, particles: &mut Particles<D>) {
+        let Some(peers) = &mut self.peers else { return };
+        peers.liquid_out.iter_mut().for_each(Vec::clear);
+        let mut send = |a: usize, offset: Vector<D>| {
+            let x = particles.position[a][0] + offset[0];
+            for q in peers.slabs.near(x, self.reach).filter(|q| *q != self.ranks.rank()) {
+                peers.liquid_out[q].push((a as u32, offset));
+            }
+        };
+        particles.fluid().for_each(|a| send(a, Vector::zeros()));
+        let solids = particles.solids() as u32;
+        self.found.iter().filter(|(a, _)| *a >= solids).for_each(|(a, offset)| send(*a as usize, *offset));
+        let parts = peers.liquid_out.iter().map(|ghosts| {
+            let mut part = Vec::with_capacity(ghosts.len() * (2 * D + 2));
+            for &(a, offset) in ghosts {
+                let (r, v, p, id) = particles.fluid_particle(a as usize);
+                pack(&(r + offset, v, p, id), &mut part);
+            }
+            part
+        });
+        let came = self.ranks.exchange(parts.collect());
+        peers.liquid_in = came.iter().map(|part| part.len() / (2 * D + 2)).collect();
+        for part in came {
+            particles.append_foreign_ghosts(part.chunks_exact(2 * D + 2).map(unpack));
+        }
     }
 
     /// Puts the ghosts where their originals are now.
     pub fn place(&self, particles: &mut Particles<D>) {
+        self.place_copies(particles);
+        let Some(peers) = &self.peers else { return };
+        let parts = peers.liquid_out.iter().map(|ghosts| {
+            let mut part = Vec::with_capacity(ghosts.len() * D);
+            ghosts.iter().for_each(|(a, offset)| (particles.position[*a as usize] + offset).pack(&mut part));
+            part
+        });
+        let counts = peers.liquid_in.iter().map(|count| count * D).collect();
+        let came = self.ranks.exchange_expected(parts.collect(), counts).concat();
+        let first = particles.owned() + self.offset.len();
+        let ghosts = &mut particles.position[first..];
+        for (ghost, words) in ghosts.iter_mut().zip(came.chunks_exact(D)) {
+            *ghost = Vector::unpack(words);
+        }
+    }
+
+    /// Puts the ghosts of this rank's own particles where their originals are now.
+    fn place_copies(&self, particles: &mut Particles<D>) {
         let first = particles.owned();
         for (k, offset) in self.offset.iter().enumerate() {
             let original = particles.original(first + k);
@@ -85,20 +247,103 @@ impl<const D: usize> Halo<D> {
         }
     }
 
-    /// Gives the ghosts the values of their originals; `field` has one entry a particle, ghosts included.
-    pub fn refresh<T: Copy>(&self, originals: &[u32], field: &mut [T]) {
-        let (own, ghosts) = field.split_at_mut(field.len() - originals.len());
-        for (ghost, &original) in ghosts.iter_mut().zip(originals) {
+    /// Gives the ghosts the values of their originals, and solids held elsewhere those that they have there; `field` has one entry a
+    /// particle, ghosts included.
+    pub fn refresh<T: Packed>(&self, originals: &[u32], field: &mut [T]) {
+        let owned = field.len() - originals.len();
+        if let Some(peers) = &self.peers {
+            peers.refresh(&self.ranks, owned + self.offset.len(), field);
+        }
+        let (own, ghosts) = field.split_at_mut(owned);
+        for (ghost, &original) in ghosts[..self.offset.len()].iter_mut().zip(originals) {
             *ghost = own[original as usize];
         }
     }
 
     /// [`refresh`](Self::refresh) of a field of the particles themselves.
-    pub fn share<T: Copy>(&self, particles: &mut Particles<D>, field: fn(&mut Particles<D>) -> &mut Vec<T>) {
+    pub fn share<T: Packed>(
+        &self,
+        particles: &mut Particles<D>,
+        field: fn(&mut Particles<D>) -> &mut Vec<T>,
+    ) {
         let mut values = std::mem::take(field(particles));
         self.refresh(particles.originals(), &mut values);
         *field(particles) = values;
     }
+}
+
+impl<const D: usize> Peers<D> {
+    /// Who holds which solid, and who needs which of them. Every rank finds the same answer from the same cuts.
+    fn deal_solids(
+        &mut self,
+        particles: &Particles<D>,
+        ranks: &Ranks,
+        domain: Option<&PeriodicBox<D>>,
+        reach: f64,
+    ) {
+        let walls = particles.walls().len();
+        self.holds.clear();
+        self.solids_out.iter_mut().chain(&mut self.solids_in).for_each(Vec::clear);
+        let mut copies = vec![];
+        for a in 0..particles.solids() {
+            let r = &particles.position[a];
+            let held_as = if a < walls { a } else { particles.tie[a - walls] as usize };
+            let holder = self.slabs.owner(particles.position[held_as][0]);
+            self.holds.push(holder == ranks.rank());
+            copies.clear();
+            copies.push((a as u32, Vector::zeros()));
+            if let Some(domain) = domain {
+                domain.copies(a as u32, r, reach, &mut copies);
+            }
+            let near = |q: usize| {
+                copies.iter().any(|(_, offset)| self.slabs.near(r[0] + offset[0], reach).contains(&q))
+            };
+            if holder != ranks.rank() {
+                if near(ranks.rank()) {
+                    self.solids_in[holder].push(a as u32);
+                }
+                continue;
+            }
+            for q in (0..ranks.count()).filter(|q| *q != holder && near(*q)) {
+                self.solids_out[q].push(a as u32);
+            }
+        }
+    }
+
+    /// Fields of solids and of foreign ghosts, which begin at `first`.
+    fn refresh<T: Packed>(&self, ranks: &Ranks, first: usize, field: &mut [T]) {
+        let parts = self.solids_out.iter().zip(&self.liquid_out).map(|(solids, liquid)| {
+            let mut part = Vec::with_capacity((solids.len() + liquid.len()) * T::WIDTH);
+            let members = solids.iter().copied().chain(liquid.iter().map(|(a, _)| *a));
+            members.for_each(|a| field[a as usize].pack(&mut part));
+            part
+        });
+        let counts = self.solids_in.iter().zip(&self.liquid_in);
+        let counts = counts.map(|(solids, liquid)| (solids.len() + liquid) * T::WIDTH).collect();
+        let came = ranks.exchange_expected(parts.collect(), counts);
+        let mut ghost = first;
+        for ((part, solids), liquid) in came.iter().zip(&self.solids_in).zip(&self.liquid_in) {
+            let mut values = part.chunks_exact(T::WIDTH).map(T::unpack);
+            for (&a, value) in solids.iter().zip(&mut values) {
+                field[a as usize] = value;
+            }
+            for (place, value) in field[ghost..ghost + liquid].iter_mut().zip(values) {
+                *place = value;
+            }
+            ghost += liquid;
+        }
+    }
+}
+
+fn pack<const D: usize>((position, velocity, pressure, id): &Fluid<D>, message: &mut Vec<f64>) {
+    position.pack(message);
+    velocity.pack(message);
+    message.extend([*pressure, *id as f64]);
+}
+
+fn unpack<const D: usize>(words: &[f64]) -> Fluid<D> {
+    let velocity = Vector::unpack(&words[D..2 * D]);
+    (Vector::unpack(&words[..D]), velocity, words[2 * D], words[2 * D + 1] as u64)
 }
 
 #[cfg(test)]

@@ -5,22 +5,35 @@ use std::process::ExitCode;
 
 use log::{Level, Log, Metadata, Record};
 use sphpetsc::cli::{self, Command};
-use sphpetsc::{Result, page, run, study};
+use sphpetsc::parallel::{self, Ranks};
+use sphpetsc::{Error, Result, page, run, study};
 
 fn main() -> ExitCode {
     std::panic::set_hook(Box::new(report_panic));
-    match std::panic::catch_unwind(execute) {
-        Ok(Ok(())) => ExitCode::SUCCESS,
-        Ok(Err(error)) => {
+    let running = parallel::start();
+    let ranks = running.ranks();
+    let outcome = std::panic::catch_unwind(|| execute(ranks));
+    // Launchers end the others once a rank fails: the first one speaks, and fails, for all.
+    let code = match outcome {
+        Ok(Err(error)) if ranks.is_first() => {
             error.to_string().lines().for_each(say);
             error.exit_code()
         }
+        Ok(_) => ExitCode::SUCCESS,
         Err(_) => ExitCode::FAILURE,
-    }
+    };
+    drop(running);
+    code
 }
 
-fn execute() -> Result<()> {
+fn execute(ranks: Ranks) -> Result<()> {
     match cli::parse(std::env::args_os())? {
+        Command::Text(_) | Command::Cases | Command::ShowCase(_) | Command::Check(_) if !ranks.is_first() => {
+            Ok(())
+        }
+        Command::Check(_) | Command::Study(_) if ranks.are_several() => {
+            Err(Error::Input("only a run takes several ranks: leave mpiexec out".into()))
+        }
         Command::Text(text) => cli::print(&text),
         Command::Cases => cli::print(&cli::case_list()),
         Command::ShowCase(name) => cli::print(cli::case_text(&name)?),
@@ -29,8 +42,11 @@ fn execute() -> Result<()> {
             run::check(&args, &args.load_case()?)
         }
         Command::Run(args) => {
-            start_log(args.log_level());
-            run::run(&args, &args.load_case()?)
+            if let Some(count) = args.ranks {
+                parallel::launch(count)?;
+            }
+            start_log(if ranks.is_first() { args.log_level() } else { log::LevelFilter::Off });
+            run::run(&args, &args.load_case()?, ranks)
         }
         Command::Report(args) => page::write(&args),
         Command::Study(args) => {
@@ -52,6 +68,7 @@ fn report_panic(panic: &std::panic::PanicHookInfo) {
     say(&format!(
         "sphpetsc {version} has a defect: it {what}: please report this with the case file and command line"
     ));
+    parallel::abort();
 }
 
 /// Prints what this program logs; other crates' messages are not for the user.

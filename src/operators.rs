@@ -14,6 +14,7 @@
 //!   particles are kept apart elsewhere.
 
 use crate::neighbors::Neighbors;
+use crate::parallel::Packed;
 use crate::particles::{Matrix, Vector};
 
 /// What every sum needs to see.
@@ -113,6 +114,23 @@ pub struct Moments<const D: usize> {
 impl<const D: usize> Default for Moments<D> {
     fn default() -> Self {
         Self { kernel_sum: 0.0, defect: Vector::zeros(), stiffness: 0.0, matrix: Matrix::zeros() }
+    }
+}
+
+impl<const D: usize> Packed for Moments<D> {
+    const WIDTH: usize = 2 + D + D * D;
+    fn pack(&self, message: &mut Vec<f64>) {
+        message.extend([self.kernel_sum, self.stiffness]);
+        message.extend(self.defect.iter().chain(self.matrix.iter()));
+    }
+    fn unpack(words: &[f64]) -> Self {
+        let (defect, matrix) = words[2..].split_at(D);
+        Self {
+            kernel_sum: words[0],
+            stiffness: words[1],
+            defect: Vector::from_column_slice(defect),
+            matrix: Matrix::from_column_slice(matrix),
+        }
     }
 }
 

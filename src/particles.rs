@@ -11,6 +11,9 @@ pub type Vector<const D: usize> = nalgebra::SVector<f64, D>;
 /// A `D` x `D` matrix.
 pub type Matrix<const D: usize> = nalgebra::SMatrix<f64, D, D>;
 
+/// Position, velocity, pressure and id: all that a fluid particle is.
+pub type Fluid<const D: usize> = (Vector<D>, Vector<D>, f64, u64);
+
 /// What a particle is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
@@ -41,7 +44,7 @@ pub struct Particles<const D: usize> {
     /// For each wall and dummy particle: distance to the solid's face in m (half a spacing for walls).
     pub depth: Vec<f64>,
     walls: usize,
-    /// For each ghost: the particle of which it is a copy.
+    /// For each ghost: the particle of which it is a copy, or itself if that is on another rank.
     originals: Vec<u32>,
 }
 
@@ -100,23 +103,55 @@ impl<const D: usize> Particles<D> {
         }
     }
 
+    /// Appends fluid particles: position, velocity, pressure, id; there must be no ghosts yet.
+    pub fn take_in(&mut self, fluid: impl Iterator<Item = Fluid<D>>) {
+        debug_assert!(self.originals.is_empty());
+        fluid.for_each(|particle| self.push_particle(particle));
+    }
+
+    /// Appends ghosts of fluid particles on other ranks, after all [`append_ghosts`](Self::append_ghosts).
+    pub fn append_foreign_ghosts(&mut self, fluid: impl Iterator<Item = Fluid<D>>) {
+        for particle in fluid {
+            self.originals.push(self.len() as u32);
+            self.push_particle(particle);
+        }
+    }
+
+    /// Fluid particle `a` as it travels between ranks.
+    pub fn fluid_particle(&self, a: usize) -> Fluid<D> {
+        (self.position[a], self.velocity[a], self.pressure[a], self.id[a])
+    }
+
+    fn push_particle(&mut self, (position, velocity, pressure, id): Fluid<D>) {
+        self.position.push(position);
+        self.velocity.push(velocity);
+        self.pressure.push(pressure);
+        self.id.push(id);
+    }
+
     /// Number of particles that are no ghosts; also the index of the first ghost.
     pub fn owned(&self) -> usize {
         self.position.len() - self.originals.len()
     }
 
-    /// For each ghost: the particle of which it is a copy.
+    /// For each ghost: the particle of which it is a copy, or itself if that is on another rank.
     pub fn originals(&self) -> &[u32] {
         &self.originals
     }
 
-    /// Particle `a` itself, or the one of which it is a ghost.
+    /// Particle `a` itself, or the one on this rank of which it is a ghost.
     #[inline]
     pub fn original(&self, a: usize) -> usize {
         match a.checked_sub(self.owned()) {
             None => a,
             Some(ghost) => self.originals[ghost] as usize,
         }
+    }
+
+    /// Whether `a` is a ghost of a particle on another rank.
+    #[inline]
+    pub fn is_foreign(&self, a: usize) -> bool {
+        a >= self.owned() && self.original(a) == a
     }
 
     /// Index range of the ghosts of solids.

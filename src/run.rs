@@ -12,25 +12,26 @@ use crate::exact;
 use crate::motion::Motion;
 use crate::output::comparison::References;
 use crate::output::exact_log::ExactLog;
-use crate::output::observers::{History, Probes, Snapshots, SolverLog};
+use crate::output::observers::{History, Probes, Snapshots, SolverLog, Systems};
 use crate::output::picture::gallery::{self, Pictures};
 use crate::output::profiles::{self, Profiles};
 use crate::output::{Progress, RunFolder, Status, write_atomic};
 use crate::output::{checkpoint, restart};
+use crate::parallel::Ranks;
 use crate::ppe::PressureSolve;
 use crate::report::Report;
-use crate::scheme::Scheme;
 use crate::scheme::isph::Isph;
 use crate::scheme::wcsph::Wcsph;
+use crate::scheme::{Scheme, StepReport};
 use crate::simulation::{Observer, Simulation, StepControl};
 use crate::{Error, Result, patch_test};
 
-/// Runs a case.
-pub fn run(args: &RunArgs, case: &CaseFile) -> Result<()> {
-    start_threads(args.threads)?;
+/// Runs a case on `ranks`; all of them call this with the same arguments.
+pub fn run(args: &RunArgs, case: &CaseFile, ranks: Ranks) -> Result<()> {
+    start_threads(args.threads.or(ranks.threads()))?;
     match case.dimension {
-        2 => run_in::<2>(args, case),
-        _ => run_in::<3>(args, case),
+        2 => run_in::<2>(args, case, ranks),
+        _ => run_in::<3>(args, case, ranks),
     }
 }
 
@@ -52,27 +53,41 @@ fn start_threads(threads: Option<usize>) -> Result<()> {
         .map_err(|error| Error::Input(format!("--threads {threads}: {error}: try fewer")))
 }
 
-fn run_in<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<()> {
+fn run_in<const D: usize>(args: &RunArgs, case: &CaseFile, ranks: Ranks) -> Result<()> {
     match case.scheme.kind {
+        SchemeKind::PatchTest if !ranks.is_first() => Ok(()),
         SchemeKind::PatchTest => run_patch_test::<D>(args, case),
-        _ => Run::<D>::prepare(args, case)?.finish(),
+        _ => Run::<D>::prepare(args, case, ranks)?.finish(),
     }
 }
 
 fn run_patch_test<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<()> {
     let report = patch_test::run::<D>(case);
     let folder = create_folder(args, case)?;
-    write_run_file(&folder, args, case)?;
+    write_run_file(&folder, args, case, Ranks::default())?;
     report.write(&folder)?;
     cli::print(&format!("{report}written to {}\n", folder.path().display()))
 }
 
 /// Everything a run holds.
 struct Run<'a, const D: usize> {
-    args: &'a RunArgs,
+    case: &'a CaseFile,
+    ranks: Ranks,
+    simulation: Simulation<D>,
+    /// On the first rank.
+    output: Option<Output<'a, D>>,
+    folder: PathBuf,
+    systems: Systems,
+    stop: Arc<AtomicBool>,
+    next_checkpoint: f64,
+    /// Whether the pressure of the first state could be found; if not, that is a failure of the run.
+    started: Result<()>,
+}
+
+/// All that writes and prints.
+struct Output<'a, const D: usize> {
     case: &'a CaseFile,
     folder: RunFolder,
-    simulation: Simulation<D>,
     history: History<D>,
     exact: Option<ExactLog<D>>,
     probes: Probes<D>,
@@ -82,24 +97,24 @@ struct Run<'a, const D: usize> {
     pictures: Pictures<D>,
     progress: Progress,
     references: References<'a>,
-    stop: Arc<AtomicBool>,
     began: Instant,
     /// Wall-clock time in s of the parts of a resumed run that ended in order.
     earlier_s: f64,
-    next_checkpoint: f64,
     solver: String,
-    /// Whether the pressure of the first state could be found; if not, that is a failure of the run.
-    started: Result<()>,
+    quiet: bool,
 }
 
 impl<'a, const D: usize> Run<'a, D> {
     /// Everything that can be wrong is found here, before the first file is written.
-    fn prepare(args: &'a RunArgs, case: &'a CaseFile) -> Result<Self> {
-        let scene = build::scene::<D>(case);
-        let references = References::read(case, &args.reference_files(case)?)?;
-        let measured = read_profile(args, case)?;
-        let resumed = resume_from(args, case)?;
-        let (scheme, described) = scheme(args, case, &scene)?;
+    fn prepare(args: &'a RunArgs, case: &'a CaseFile, ranks: Ranks) -> Result<Self> {
+        let mut scene = build::scene::<D>(case);
+        scene.params.ranks = ranks;
+        let read = || {
+            let references = References::read(case, &args.reference_files(case)?)?;
+            Ok((references, read_profile(args, case)?, resume_from(args, case)?))
+        };
+        let (references, measured, resumed) = ranks.agree(read())?;
+        let (scheme, described) = ranks.agree(scheme(args, case, &scene))?;
         let Scene { particles, params, enclosure, snapped, .. } = &scene;
         let control =
             StepControl { fixed: case.time.step, largest: case.time.step_max.unwrap_or(f64::INFINITY) };
@@ -122,47 +137,32 @@ impl<'a, const D: usize> Run<'a, D> {
             log::info!("{sentence} (no multiple of the spacing)");
         }
         log::info!("{described}");
-        let (folder, saved) = match resumed {
-            None => (create_folder(args, case)?, None),
+        let (opened, saved) = match resumed {
+            None => (None, None),
             Some((folder, state)) => {
-                restart::restore(&mut simulation, &state)?;
+                ranks.agree(restart::restore(&mut simulation, &state))?;
                 log::info!("resumed at t = {:.6} s, step {}", simulation.time, simulation.step);
-                (folder, Some(state))
+                (Some(folder), Some(state))
             }
         };
-        write_run_file(&folder, args, case)?;
         let since = saved.as_ref().map(|_| simulation.time);
-        let mut history = History::new(&folder, case, params, since)?;
-        let mut probes = Probes::new(&folder, case, &scene, since)?;
-        if let Some(state) = &saved {
-            history.restore(state)?;
-            probes.restore(state)?;
-        }
-        let exact = exact::of_case(case, params)
-            .map(|exact| ExactLog::new(&folder, exact, params, case.output.samples, since))
-            .transpose()?;
-        let profiles = measured
-            .map(|(profile, points)| Profiles::new(&folder, profile, points, params.spacing, since))
-            .transpose()?;
+        let open = || {
+            let folder = opened.map_or_else(|| create_folder(args, case), Ok)?;
+            write_run_file(&folder, args, case, ranks)?;
+            Output::new(args, case, &scene, folder, (references, measured), saved.as_ref(), since, described)
+        };
+        let output = ranks.agree(ranks.is_first().then(open).transpose())?;
+        let path = output.as_ref().map_or(Path::new(""), |output| output.folder.path());
+        let folder = PathBuf::from(ranks.same_text(path.to_string_lossy().into_owned()));
         let mut run = Self {
-            history,
-            exact,
-            profiles,
-            probes,
-            solver_log: SolverLog::new(&folder, &args.save_systems, since)?,
-            snapshots: Snapshots::new(&folder, case, since)?,
-            pictures: Pictures::new(&folder, case, since),
-            progress: Progress::new(case.time.until, args.quiet),
+            systems: Systems::new(folder.join("systems"), &args.save_systems, since),
             stop: Arc::new(AtomicBool::new(false)),
-            references,
-            began: Instant::now(),
-            earlier_s: since.map_or(0.0, |_| wall_time_in(&folder)),
             next_checkpoint: case.output.checkpoint * (simulation.time / case.output.checkpoint).floor()
                 + case.output.checkpoint,
-            solver: described,
             started,
-            args,
             case,
+            ranks,
+            output,
             folder,
             simulation,
         };
@@ -170,15 +170,15 @@ impl<'a, const D: usize> Run<'a, D> {
         // A second handler in one process is a test harness's business; the first one serves.
         let _ = ctrlc::set_handler(move || stop.store(true, Ordering::Relaxed));
         if since.is_none() {
-            run.history.start(&run.simulation)?;
-            if let Some(exact) = &mut run.exact {
-                exact.sample(&run.simulation)?;
-            }
-            run.probes.sample(&run.simulation)?;
-            run.snapshots.write(&run.simulation)?;
-            run.pictures.draw_due(&run.simulation)?;
+            run.show(Output::first_rows)?;
         }
         Ok(run)
+    }
+
+    /// Lets the output look at the whole scene.
+    fn show(&mut self, look: impl FnOnce(&mut Output<'a, D>, &Simulation<D>) -> Result<()>) -> Result<()> {
+        let output = self.output.as_mut();
+        self.simulation.show(|whole| output.map_or(Ok(()), |output| look(output, whole)))
     }
 
     fn finish(mut self) -> Result<()> {
@@ -194,6 +194,179 @@ impl<'a, const D: usize> Run<'a, D> {
         if matches!(outcome, Err(Error::Run(_) | Error::Petsc(_))) {
             self.save_failing_state()?;
         }
+        let failure = outcome.as_ref().err().map(ToString::to_string);
+        self.show(|output, whole| output.report(whole, failure))
+    }
+
+    fn time_loop(&mut self) -> Result<()> {
+        while self.simulation.time < self.case.time.until {
+            let report = self.simulation.advance().inspect_err(|_| self.keep_failed_system())?;
+            self.observe(&report)?;
+            if self.case.output.checkpoint > 0.0 && self.simulation.time >= self.next_checkpoint {
+                self.next_checkpoint += self.case.output.checkpoint;
+                self.save()?;
+            }
+            if self.ranks.any(self.stop.load(Ordering::Relaxed)) {
+                return Err(Error::Interrupted(format!(
+                    "interrupted at t = {:.6} s: the state is saved; go on with --resume {}",
+                    self.simulation.time,
+                    self.folder.display()
+                )));
+            }
+        }
+        self.show(|output, whole| output.snapshots.write(whole))
+    }
+
+    /// Tables, files and pictures that are due after a step; without any the scene is not gathered.
+    fn observe(&mut self, report: &StepReport) -> Result<()> {
+        self.ranks.agree(self.systems.save_due(&self.simulation))?;
+        let simulation = &self.simulation;
+        let energy = simulation.energy();
+        let particles = self.ranks.sum(simulation.particles.fluid().len() as f64) as usize;
+        let noted = self.output.as_mut().map(|output| output.note(simulation, report, energy, particles));
+        self.ranks.agree(noted.unwrap_or(Ok(())))?;
+        let is_due = self.output.as_ref().is_some_and(|output| output.is_due(simulation.time));
+        if self.ranks.any(is_due) {
+            self.show(|output, whole| output.observe(whole, report))?;
+        }
+        Ok(())
+    }
+
+    /// A checkpoint, and before it the rows that belong to it.
+    fn save(&mut self) -> Result<()> {
+        self.show(Output::save)
+    }
+
+    /// The state in which the last step failed, as particles to look at.
+    fn save_failing_state(&mut self) -> Result<()> {
+        self.simulation.swap_states();
+        let saved = self.show(|output, whole| output.snapshots.write_failed(&output.folder, whole));
+        self.simulation.swap_states();
+        saved
+    }
+
+    fn keep_failed_system(&self) {
+        let saved = self.simulation.scheme.save_system(&self.folder.join("systems"), "failed");
+        if let Err(error) = saved {
+            log::warn!("the failing pressure system could not be saved: {error}");
+        }
+    }
+}
+
+impl<'a, const D: usize> Output<'a, D> {
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        args: &RunArgs,
+        case: &'a CaseFile,
+        scene: &Scene<D>,
+        folder: RunFolder,
+        (references, measured): (References<'a>, Option<(&'a Profile, profiles::Measured)>),
+        saved: Option<&checkpoint::Reader>,
+        since: Option<f64>,
+        solver: String,
+    ) -> Result<Self> {
+        let params = &scene.params;
+        let mut history = History::new(&folder, case, params, since)?;
+        let mut probes = Probes::new(&folder, case, scene, since)?;
+        if let Some(state) = saved {
+            history.restore(state)?;
+            probes.restore(state)?;
+        }
+        let exact = exact::of_case(case, params)
+            .map(|exact| ExactLog::new(&folder, exact, params, case.output.samples, since))
+            .transpose()?;
+        let profiles = measured
+            .map(|(profile, points)| Profiles::new(&folder, profile, points, params.spacing, since))
+            .transpose()?;
+        Ok(Self {
+            history,
+            exact,
+            profiles,
+            probes,
+            solver_log: SolverLog::new(&folder, since)?,
+            snapshots: Snapshots::new(&folder, case, since)?,
+            pictures: Pictures::new(&folder, case, since),
+            progress: Progress::new(case.time.until, args.quiet),
+            references,
+            began: Instant::now(),
+            earlier_s: since.map_or(0.0, |_| wall_time_in(&folder)),
+            solver,
+            quiet: args.quiet,
+            case,
+            folder,
+        })
+    }
+
+    /// The initial state.
+    fn first_rows(&mut self, simulation: &Simulation<D>) -> Result<()> {
+        self.history.start(simulation)?;
+        if let Some(exact) = &mut self.exact {
+            exact.sample(simulation)?;
+        }
+        self.probes.sample(simulation)?;
+        self.snapshots.write(simulation)?;
+        self.pictures.draw_due(simulation)
+    }
+
+    /// What a step leaves that needs no particles.
+    fn note(
+        &mut self,
+        simulation: &Simulation<D>,
+        report: &StepReport,
+        energy: f64,
+        particles: usize,
+    ) -> Result<()> {
+        self.history.watch_energy(energy);
+        self.progress.update(&Status {
+            time: simulation.time,
+            step: simulation.step,
+            dt: simulation.dt,
+            iterations: report.solve.as_ref().map(|solve| solve.iterations),
+            particles,
+        });
+        self.solver_log.observe(simulation, report)
+    }
+
+    fn observers(&self) -> impl Iterator<Item = &dyn Observer<D>> {
+        let always: [&dyn Observer<D>; 4] = [&self.history, &self.probes, &self.snapshots, &self.pictures];
+        let exact = self.exact.as_ref().map(|exact| exact as &dyn Observer<D>);
+        let profiles = self.profiles.as_ref().map(|profiles| profiles as &dyn Observer<D>);
+        always.into_iter().chain(exact).chain(profiles)
+    }
+
+    fn is_due(&self, time: f64) -> bool {
+        self.observers().any(|observer| observer.is_due(time))
+    }
+
+    fn observe(&mut self, simulation: &Simulation<D>, report: &StepReport) -> Result<()> {
+        self.history.observe(simulation, report)?;
+        if let Some(exact) = &mut self.exact {
+            exact.observe(simulation, report)?;
+        }
+        self.probes.observe(simulation, report)?;
+        if let Some(profiles) = &mut self.profiles {
+            profiles.observe(simulation, report)?;
+        }
+        self.snapshots.observe(simulation, report)?;
+        self.pictures.observe(simulation, report)
+    }
+
+    fn save(&mut self, simulation: &Simulation<D>) -> Result<()> {
+        self.history.flush()?;
+        self.probes.flush()?;
+        self.solver_log.flush()?;
+        self.exact.as_mut().map_or(Ok(()), ExactLog::flush)?;
+        self.profiles.as_mut().map_or(Ok(()), Profiles::flush)?;
+        let mut writer = checkpoint::Writer::new();
+        restart::save(simulation, &mut writer);
+        self.history.save(&mut writer);
+        self.probes.save(&mut writer);
+        writer.u64("scene", &[scene_number(self.case)]);
+        writer.save(&self.folder.join("checkpoint"), simulation.step).map(|_| ())
+    }
+
+    /// The end of a run: summary, last pictures, end table.
+    fn report(&mut self, simulation: &Simulation<D>, failure: Option<String>) -> Result<()> {
         self.progress.finish();
         let mut comparison = self.references.compare(self.folder.path())?;
         let mut errors = self.exact.as_mut().map_or(Ok(vec![]), ExactLog::errors)?;
@@ -204,91 +377,25 @@ impl<'a, const D: usize> Run<'a, D> {
         }
         let report = Report {
             case: self.case,
-            scheme: self.simulation.scheme.as_ref(),
-            particles: &self.simulation.particles,
-            time: self.simulation.time,
-            step: self.simulation.step,
-            totals: self.simulation.totals,
+            scheme: simulation.scheme.as_ref(),
+            particles: &simulation.particles,
+            time: simulation.time,
+            step: simulation.step,
+            totals: simulation.totals,
             energy: self.history.energy(),
             comparison,
             errors,
             solver: &self.solver,
             wall_s: self.earlier_s + self.began.elapsed().as_secs_f64(),
             folder: self.folder.path(),
-            failure: outcome.as_ref().err().map(ToString::to_string),
+            failure,
         };
         write_atomic(&self.folder.join("summary.json"), |file| {
             serde_json::to_writer_pretty(file, &report.json()).map_err(Into::into)
         })?;
-        self.pictures.draw_last(&self.simulation)?;
+        self.pictures.draw_last(simulation)?;
         gallery::write_curves(&self.folder, self.case, &self.references)?;
-        if self.args.quiet { Ok(()) } else { cli::print(&report.to_string()) }
-    }
-
-    fn time_loop(&mut self) -> Result<()> {
-        while self.simulation.time < self.case.time.until {
-            let report = self.simulation.advance().inspect_err(|_| self.keep_failed_system())?;
-            self.history.observe(&self.simulation, &report)?;
-            if let Some(exact) = &mut self.exact {
-                exact.observe(&self.simulation, &report)?;
-            }
-            self.probes.observe(&self.simulation, &report)?;
-            if let Some(profiles) = &mut self.profiles {
-                profiles.observe(&self.simulation, &report)?;
-            }
-            self.solver_log.observe(&self.simulation, &report)?;
-            self.snapshots.observe(&self.simulation, &report)?;
-            self.pictures.observe(&self.simulation, &report)?;
-            let simulation = &self.simulation;
-            self.progress.update(&Status {
-                time: simulation.time,
-                step: simulation.step,
-                dt: simulation.dt,
-                iterations: report.solve.as_ref().map(|solve| solve.iterations),
-                particles: simulation.particles.fluid().len(),
-            });
-            if self.case.output.checkpoint > 0.0 && simulation.time >= self.next_checkpoint {
-                self.next_checkpoint += self.case.output.checkpoint;
-                self.save()?;
-            }
-            if self.stop.load(Ordering::Relaxed) {
-                return Err(Error::Interrupted(format!(
-                    "interrupted at t = {:.6} s: the state is saved; go on with --resume {}",
-                    self.simulation.time,
-                    self.folder.path().display()
-                )));
-            }
-        }
-        self.snapshots.write(&self.simulation)
-    }
-
-    /// A checkpoint, and before it the rows that belong to it.
-    fn save(&mut self) -> Result<()> {
-        self.history.flush()?;
-        self.probes.flush()?;
-        self.solver_log.flush()?;
-        self.exact.as_mut().map_or(Ok(()), ExactLog::flush)?;
-        self.profiles.as_mut().map_or(Ok(()), Profiles::flush)?;
-        let mut writer = checkpoint::Writer::new();
-        restart::save(&self.simulation, &mut writer);
-        self.history.save(&mut writer);
-        self.probes.save(&mut writer);
-        writer.u64("scene", &[scene_number(self.case)]);
-        writer.save(&self.folder.join("checkpoint"), self.simulation.step).map(|_| ())
-    }
-
-    /// The state in which the last step failed, as particles to look at.
-    fn save_failing_state(&mut self) -> Result<()> {
-        self.simulation.swap_states();
-        let saved = self.snapshots.write_failed(&self.folder, &self.simulation);
-        self.simulation.swap_states();
-        saved
-    }
-
-    fn keep_failed_system(&self) {
-        if let Err(error) = self.simulation.scheme.save_system(&self.folder.join("systems"), "failed") {
-            log::warn!("the failing pressure system could not be saved: {error}");
-        }
+        if self.quiet { Ok(()) } else { cli::print(&report.to_string()) }
     }
 }
 
@@ -304,7 +411,7 @@ fn scheme<const D: usize>(
         let described = method.describe();
         return Ok((Box::new(Wcsph::new(params.clone(), method, particles)), described));
     }
-    let solver = pressure_solver(args, particles.fluid().len())?;
+    let solver = pressure_solver(args, particles.fluid().len(), params.ranks)?;
     let described = solver.describe();
     Ok((Box::new(Isph::new(params.clone(), build::isph(case), particles, solver)), described))
 }
@@ -325,11 +432,12 @@ fn is_explicit(args: &RunArgs, case: &CaseFile) -> Result<bool> {
 }
 
 #[cfg(feature = "petsc")]
-fn pressure_solver(args: &RunArgs, size: usize) -> Result<Box<dyn PressureSolve>> {
+fn pressure_solver(args: &RunArgs, size: usize, ranks: Ranks) -> Result<Box<dyn PressureSolve>> {
     let session = crate::petsc::Session::start(&args.petsc)?;
-    if session.size() > 1 {
+    if session.size() != ranks.count() {
         let count = session.size();
-        let sentence = format!("this version runs on one rank, and {count} were started: leave mpiexec out");
+        let sentence =
+            format!("{count} ranks were started in an unknown way: start them by mpiexec or --ranks {count}");
         // The first rank speaks for all: an empty message prints nothing.
         return Err(Error::Input(if session.rank() == 0 { sentence } else { String::new() }));
     }
@@ -337,7 +445,7 @@ fn pressure_solver(args: &RunArgs, size: usize) -> Result<Box<dyn PressureSolve>
 }
 
 #[cfg(not(feature = "petsc"))]
-fn pressure_solver(_: &RunArgs, _: usize) -> Result<Box<dyn PressureSolve>> {
+fn pressure_solver(_: &RunArgs, _: usize, _: Ranks) -> Result<Box<dyn PressureSolve>> {
     let advice = "choose --scheme wcsph or build with the feature petsc (the default)";
     Err(Error::Input(format!(
         "this build leaves PETSc out, and the schemes isph_df and isph_di need it: {advice}"
@@ -408,26 +516,28 @@ fn newest_run(name: &str) -> Option<PathBuf> {
     runs.filter_map(|path| Some((number(&path)?, path))).max().map(|(_, path)| path)
 }
 
-fn write_run_file(folder: &RunFolder, args: &RunArgs, case: &CaseFile) -> Result<()> {
-    let text = run_file(args, case, rayon::current_num_threads());
+fn write_run_file(folder: &RunFolder, args: &RunArgs, case: &CaseFile, ranks: Ranks) -> Result<()> {
+    let text = run_file(args, case, rayon::current_num_threads(), ranks);
     write_atomic(&folder.join("run.toml"), |file| std::io::Write::write_all(file, text.as_bytes()))
 }
 
-/// The contents of run.toml for a run on this many threads.
-pub(crate) fn run_file(args: &RunArgs, case: &CaseFile, threads: usize) -> String {
+/// The contents of run.toml for a run on this many threads of each rank.
+pub(crate) fn run_file(args: &RunArgs, case: &CaseFile, threads: usize, ranks: Ranks) -> String {
     let header = "The case as run, with all defaults: feed it back to repeat the run.";
     let mut text = read::write(case, header);
     let references = args.references.iter().map(|reference| {
         let name = reference.name.as_ref().map(|name| format!("{name}=")).unwrap_or_default();
         toml::Value::from(name + &reference.file.to_string_lossy())
     });
+    let count = |count: usize| i64::try_from(count).unwrap_or(i64::MAX).into();
     let machine = toml::Table::from_iter([
         ("version".to_owned(), env!("CARGO_PKG_VERSION").into()),
         ("petsc".to_owned(), petsc_version().into()),
         ("petsc_options".to_owned(), args.petsc.join(" ").into()),
         ("references".to_owned(), references.collect::<toml::value::Array>().into()),
         ("system".to_owned(), format!("{} {}", std::env::consts::OS, std::env::consts::ARCH).into()),
-        ("threads".to_owned(), i64::try_from(threads).unwrap_or(i64::MAX).into()),
+        ("ranks".to_owned(), count(ranks.count())),
+        ("threads".to_owned(), count(threads)),
     ]);
     text += &format!("\n[run]\n{machine}");
     text
@@ -446,7 +556,7 @@ fn petsc_version() -> String {
 /// The pressure solver a run would use, where this build has any.
 fn solver_in_force(args: &RunArgs, case: &CaseFile, size: usize) -> Result<Option<String>> {
     let solves = cfg!(feature = "petsc") && case.scheme.kind.solves();
-    solves.then(|| pressure_solver(args, size).map(|solver| solver.describe())).transpose()
+    solves.then(|| pressure_solver(args, size, Ranks::default()).map(|solver| solver.describe())).transpose()
 }
 
 /// What `check` prints: counts, lengths, limits, and what a run would take.

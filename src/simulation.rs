@@ -4,7 +4,9 @@
 
 use crate::geometry::{Aabb, Enclosure};
 use crate::motion::Motion;
+use crate::parallel::Ranks;
 use crate::particles::{Particles, Vector};
+use crate::scheme::still::Still;
 use crate::scheme::{Scheme, StepReport};
 use crate::{Error, Result};
 
@@ -31,7 +33,8 @@ pub struct Simulation<const D: usize> {
     gravity: Vector<D>,
     speed_limit: f64,
     margin: f64,
-    before: (Vec<Vector<D>>, Vec<Vector<D>>, Vec<f64>),
+    ranks: Ranks,
+    before: (Vec<Vector<D>>, Vec<Vector<D>>, Vec<f64>, Vec<u64>),
 }
 
 /// How the time step is chosen.
@@ -43,7 +46,7 @@ pub struct StepControl {
     pub largest: f64,
 }
 
-/// Counts since the start of a run.
+/// Counts since the start of a run; those of particles are of this rank.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Totals {
     /// Negative pressures set to zero.
@@ -66,6 +69,9 @@ pub struct Totals {
 pub trait Observer<const D: usize> {
     /// Called after a step with its report.
     fn observe(&mut self, simulation: &Simulation<D>, report: &StepReport) -> Result<()>;
+
+    /// Whether it would look at particles at `time` in s.
+    fn is_due(&self, time: f64) -> bool;
 }
 
 /// Largest growth of the time step from one step to the next.
@@ -76,7 +82,7 @@ const FIRST: f64 = 0.1;
 const RUNAWAY: f64 = 20.0;
 
 impl<const D: usize> Simulation<D> {
-    /// Starts from `particles`, which are left alone until the first step. `support` is the kernel's reach in m.
+    /// Starts from `particles`, the whole scene on every rank, which are left alone until the first step. `support` is the kernel's reach in m.
     pub fn new(
         particles: Particles<D>,
         scheme: Box<dyn Scheme<D>>,
@@ -95,8 +101,10 @@ impl<const D: usize> Simulation<D> {
             high = high.sup(r);
         }
         let fall = (2.0 * gravity.norm() * (high - low).norm()).sqrt();
+        let ranks = scheme.params().ranks;
         let mut simulation = Self {
             dt: 0.0,
+            ranks,
             particles,
             scheme,
             time: 0.0,
@@ -111,8 +119,58 @@ impl<const D: usize> Simulation<D> {
             margin: support,
             before: Default::default(),
         };
+        simulation.share_out();
         simulation.dt = FIRST * simulation.stable_dt();
         simulation
+    }
+
+    /// Leaves to this rank its part of the liquid, where every rank has all of it, and the counts to the first.
+    pub fn share_out(&mut self) {
+        let (rank, count, fluid) = (self.ranks.rank(), self.ranks.count(), self.particles.fluid());
+        let end = |rank: usize| fluid.start + fluid.len() * rank / count;
+        let mine = end(rank)..end(rank + 1);
+        if mine != fluid {
+            self.particles.retain_fluid(|a| mine.contains(&a));
+        }
+        if !self.ranks.is_first() {
+            self.totals = Totals { clipped: 0, collisions: 0, left: 0, through_walls: 0, ..self.totals };
+        }
+    }
+
+    /// Kinetic and potential energy of all liquid in J, the latter zero at the origin; without the motion of the tank.
+    pub fn energy(&self) -> f64 {
+        let (fluid, mass) = (self.particles.fluid(), self.scheme.params().mass());
+        let squares: f64 = self.particles.velocity[fluid.clone()].iter().map(|v| v.norm_squared()).sum();
+        let positions: Vector<D> = self.particles.position[fluid].iter().sum();
+        self.ranks.sum(0.5 * mass * squares - mass * self.gravity.dot(&positions))
+    }
+
+    /// Lets the first rank look at the whole scene; a failure there is one of all ranks.
+    pub fn show(&self, look: impl FnOnce(&Self) -> Result<()>) -> Result<()> {
+        if !self.ranks.are_several() {
+            return look(self);
+        }
+        let whole = self.whole();
+        self.ranks.agree(whole.map_or(Ok(()), |whole| look(&whole)))
+    }
+
+    /// The whole scene, on the first rank.
+    fn whole(&self) -> Option<Self> {
+        let Totals { clipped, collisions, left, through_walls, .. } = self.totals;
+        let counts = [clipped, collisions, left, through_walls].map(|count| count as f64);
+        let counts: Vec<u64> = self.ranks.sums(&counts).into_iter().map(|sum| sum as u64).collect();
+        let (particles, still) = Still::gather(self.scheme.as_ref(), &self.particles)?;
+        let &[clipped, collisions, left, through_walls] = &counts[..] else { return None };
+        Some(Self {
+            particles,
+            scheme: Box::new(still),
+            totals: Totals { clipped, collisions, left, through_walls, ..self.totals },
+            motion: self.motion.clone(),
+            enclosure: self.enclosure.clone(),
+            before: Default::default(),
+            ranks: Ranks::default(),
+            ..*self
+        })
     }
 
     /// Moves the tank from now on.
@@ -136,7 +194,8 @@ impl<const D: usize> Simulation<D> {
     /// Finds the pressure of the initial state; see [`Scheme::start`].
     pub fn start(&mut self) -> Result<()> {
         self.remember();
-        self.scheme.start(&mut self.particles).map_err(|error| self.located(error, self.dt))
+        let outcome = self.scheme.start(&mut self.particles).map_err(|error| self.located(error, self.dt));
+        self.ranks.agree(outcome)
     }
 
     fn stable_dt(&self) -> f64 {
@@ -165,13 +224,8 @@ impl<const D: usize> Simulation<D> {
             self.watch(dt)?;
             Ok(report)
         });
-        let report = match outcome {
-            Ok(report) => report,
-            Err(error) => {
-                self.swap_states();
-                return Err(self.located(error, dt));
-            }
-        };
+        let outcome = outcome.map_err(|error| self.located(error, dt));
+        let report = self.ranks.agree(outcome).inspect_err(|_| self.swap_states())?;
         self.time = end;
         self.step += 1;
         self.dt = dt;
@@ -181,19 +235,21 @@ impl<const D: usize> Simulation<D> {
 
     fn remember(&mut self) {
         self.particles.drop_ghosts();
-        let (position, velocity, pressure) = &mut self.before;
+        let (position, velocity, pressure, id) = &mut self.before;
         position.clone_from(&self.particles.position);
         velocity.clone_from(&self.particles.velocity);
         pressure.clone_from(&self.particles.pressure);
+        id.clone_from(&self.particles.id);
     }
 
     /// Exchanges the present state with the one before the last step.
     pub fn swap_states(&mut self) {
         self.particles.drop_ghosts();
-        let (position, velocity, pressure) = &mut self.before;
+        let (position, velocity, pressure, id) = &mut self.before;
         std::mem::swap(position, &mut self.particles.position);
         std::mem::swap(velocity, &mut self.particles.velocity);
         std::mem::swap(pressure, &mut self.particles.pressure);
+        std::mem::swap(id, &mut self.particles.id);
     }
 
     /// Finite and bounded? A particle that leaves all its neighbours behind within one step has jumped, not flowed.

@@ -19,6 +19,7 @@ use crate::cli::{self, RunArgs, StudyArgs};
 use crate::output::comparison::References;
 use crate::output::picture::curves::{Curve, Mark, loglog_plot};
 use crate::output::{Cell, checkpoint, write_atomic};
+use crate::parallel::Ranks;
 use crate::{Error, Result, run};
 
 /// Spacings of a study that names none, in spacings of its case: halving twice shows an order, and the finest run takes as
@@ -240,7 +241,7 @@ impl Planned {
 /// Arguments of the program that does a run or what is left of it; none if it is done.
 fn start(args: RunArgs, case: &CaseFile, folder: &Path, force: bool) -> Result<Option<RunArgs>> {
     let threads = args.threads.unwrap_or_else(rayon::current_num_threads);
-    let wanted = run::run_file(&args, case, threads);
+    let wanted = run::run_file(&args, case, threads, Ranks::default());
     let args = RunArgs { out: Some(folder.to_owned()), ..args };
     let begin_again = Ok(Some(RunArgs { force: true, ..args.clone() }));
     match fs::read_to_string(folder.join("run.toml")) {

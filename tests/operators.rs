@@ -2,10 +2,10 @@
 
 use sphpetsc::boundary::DummyWalls;
 use sphpetsc::case::{KernelKind, LaplacianKind, build, read};
+use sphpetsc::halo::Halo;
 use sphpetsc::kernel::{LatticeSums, Smoothing, WendlandC2};
 use sphpetsc::neighbors::{Layout, Neighbors};
 use sphpetsc::operators::{Moments, Surroundings};
-use sphpetsc::parallel::Ranks;
 use sphpetsc::particles::{Matrix, Particles, Vector};
 use sphpetsc::ppe::matrix::{Assembler, Inputs, NO_ROW};
 use sphpetsc::ppe::{Needs, source::Source};
@@ -228,7 +228,7 @@ fn still_water<const D: usize>() {
         spacing: DX,
         laplacian: LaplacianKind::Schwaiger,
     };
-    assembler.assemble(&inputs, &Ranks, Needs::default());
+    assembler.assemble(&inputs, &Halo::default(), Needs::default());
     let weight = water.params.density * -water.params.gravity[D - 1];
     let p: Vec<_> = (assembler.particle_of.iter())
         .map(|&a| weight * (LEVEL - water.particles.position[a as usize][D - 1]))

@@ -4,10 +4,10 @@
 use nalgebra::{DMatrix, DVector};
 use sphpetsc::boundary::DummyWalls;
 use sphpetsc::case::{KernelKind, LaplacianKind, build, read};
+use sphpetsc::halo::Halo;
 use sphpetsc::kernel::{LatticeSums, Smoothing, WendlandC2};
 use sphpetsc::neighbors::{Layout, Neighbors};
 use sphpetsc::operators::{Moments, Surroundings};
-use sphpetsc::parallel::Ranks;
 use sphpetsc::particles::{Matrix, Particles, Vector};
 use sphpetsc::ppe::matrix::{Assembler, Inputs, NEAR, NO_ROW};
 use sphpetsc::ppe::{Needs, Rows};
@@ -92,7 +92,7 @@ impl<const D: usize> Water<D> {
             spacing: self.params.spacing,
             laplacian,
         };
-        assembler.assemble(&inputs, &Ranks, ALL);
+        assembler.assemble(&inputs, &Halo::default(), ALL);
         assembler
     }
 

@@ -367,26 +367,6 @@ fn petsc_reports_what_it_is_asked_for() {
 }
 
 #[test]
-fn several_ranks_are_refused_in_one_sentence() {
-    if Command::new("mpiexec").arg("--version").output().is_err() {
-        eprintln!("skipped: no mpiexec");
-        return;
-    }
-    let folder = folder();
-    let output = Command::new("mpiexec")
-        .current_dir(&folder)
-        .args(["-n", "2", env!("CARGO_BIN_EXE_sphpetsc"), "dam_break_2d"])
-        .env("OMPI_ALLOW_RUN_AS_ROOT", "1")
-        .env("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
-        .env("OMPI_MCA_rmaps_base_oversubscribe", "1")
-        .output()
-        .unwrap();
-    let said = sentence(&output, 2);
-    assert!(said.contains("one rank, and 2 were started"), "{said}");
-    assert_eq!(fs::read_dir(&folder).unwrap().count(), 0);
-}
-
-#[test]
 fn an_output_folder_is_free_or_an_earlier_run() {
     let folder = folder();
     let short = format!("{DAM} --until 0.002");

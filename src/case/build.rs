@@ -7,6 +7,7 @@ use crate::boundary::repulsion::Repulsion;
 use crate::exact;
 use crate::geometry::{Aabb, BlockShape, Enclosure, Lattice, Shapes, SolidSide, TankShape};
 use crate::halo::PeriodicBox;
+use crate::parallel::Ranks;
 use crate::particles::{Particles, Vector};
 use crate::ppe::source::Source;
 use crate::scheme::{Params, isph, wcsph};
@@ -91,6 +92,7 @@ fn params<const D: usize>(case: &CaseFile, tank: Option<&TankShape<D>>) -> Param
             min: tank.inner.min,
             period: std::array::from_fn(|d| period(tank, d)),
         }),
+        ranks: Ranks::default(),
     }
 }
 

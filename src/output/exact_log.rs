@@ -89,4 +89,8 @@ impl<const D: usize> Observer<D> for ExactLog<D> {
             false => Ok(()),
         }
     }
+
+    fn is_due(&self, time: f64) -> bool {
+        self.every_step || self.schedule.is_due(time)
+    }
 }

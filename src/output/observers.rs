@@ -34,6 +34,11 @@ impl Schedule {
         Self { interval, next, instants }
     }
 
+    /// Is anything due at `time`?
+    pub fn is_due(&self, time: f64) -> bool {
+        time >= self.next || self.instants.last().is_some_and(|t| *t <= time)
+    }
+
     /// Is anything due at `time`? Serves it.
     pub fn due(&mut self, time: f64) -> bool {
         let mut due = false;
@@ -96,13 +101,12 @@ impl<const D: usize> History<D> {
 
     /// The row of the initial state.
     pub fn start(&mut self, simulation: &Simulation<D>) -> Result<()> {
-        self.watch_energy(simulation);
+        self.watch_energy(simulation.energy());
         self.sample(simulation)
     }
 
-    fn watch_energy(&mut self, simulation: &Simulation<D>) {
-        let scene = self.scene(simulation);
-        let now = quantities::kinetic_energy(&scene) + quantities::potential_energy(&scene);
+    /// Takes note of the energy in J after a step.
+    pub fn watch_energy(&mut self, now: f64) {
         let energy = &mut self.energy;
         if energy.initial == 0.0 {
             (energy.initial, energy.lowest) = (now, now);
@@ -145,11 +149,14 @@ impl<const D: usize> History<D> {
 
 impl<const D: usize> Observer<D> for History<D> {
     fn observe(&mut self, simulation: &Simulation<D>, _: &StepReport) -> Result<()> {
-        self.watch_energy(simulation);
         match self.every_step || self.schedule.due(simulation.time) {
             true => self.sample(simulation),
             false => Ok(()),
         }
+    }
+
+    fn is_due(&self, time: f64) -> bool {
+        self.every_step || self.schedule.is_due(time)
     }
 }
 
@@ -227,13 +234,36 @@ impl<const D: usize> Observer<D> for Probes<D> {
             false => Ok(()),
         }
     }
+
+    fn is_due(&self, time: f64) -> bool {
+        self.every_step || self.schedule.is_due(time)
+    }
 }
 
-/// solver.csv: a row a pressure solve; and pressure systems saved on demand.
+/// solver.csv: a row a pressure solve.
 pub struct SolverLog {
     table: Table,
-    systems: Schedule,
+}
+
+/// Pressure systems saved on demand; all ranks save together.
+pub struct Systems {
+    schedule: Schedule,
     folder: PathBuf,
+}
+
+impl Systems {
+    /// Saves into `folder` at the instants `times` in s after `since`.
+    pub fn new(folder: PathBuf, times: &[f64], since: Option<f64>) -> Self {
+        Self { schedule: Schedule::new(0.0, times.to_vec(), since.unwrap_or(0.0)), folder }
+    }
+
+    /// Saves the last system if it is time.
+    pub fn save_due<const D: usize>(&mut self, simulation: &Simulation<D>) -> Result<()> {
+        match self.schedule.due(simulation.time) {
+            true => simulation.scheme.save_system(&self.folder, &format!("t{:.6}", simulation.time)),
+            false => Ok(()),
+        }
+    }
 }
 
 const SOLVER_COLUMNS: [&str; 12] = [
@@ -252,15 +282,14 @@ const SOLVER_COLUMNS: [&str; 12] = [
 ];
 
 impl SolverLog {
-    /// Opens the table; `systems` are the instants whose pressure systems are kept.
-    pub fn new(folder: &RunFolder, systems: &[f64], since: Option<f64>) -> Result<Self> {
+    /// Opens the table.
+    pub fn new(folder: &RunFolder, since: Option<f64>) -> Result<Self> {
         let path = folder.join("solver.csv");
         let table = match since {
             None => Table::create(&path, &SOLVER_COLUMNS)?,
             Some(time) => Table::resume(&path, &SOLVER_COLUMNS, time)?,
         };
-        let systems = Schedule::new(0.0, systems.to_vec(), since.unwrap_or(0.0));
-        Ok(Self { table, systems, folder: folder.join("systems") })
+        Ok(Self { table })
     }
 
     /// Writes out what is pending.
@@ -271,9 +300,6 @@ impl SolverLog {
 
 impl<const D: usize> Observer<D> for SolverLog {
     fn observe(&mut self, simulation: &Simulation<D>, report: &StepReport) -> Result<()> {
-        if self.systems.due(simulation.time) {
-            simulation.scheme.save_system(&self.folder, &format!("t{:.6}", simulation.time))?;
-        }
         let Some(solve) = &report.solve else { return Ok(()) };
         if let Some(fallback) = &solve.fallback {
             log::warn!("step {} at t = {:.6} s: {fallback}", simulation.step, simulation.time);
@@ -292,6 +318,10 @@ impl<const D: usize> Observer<D> for SolverLog {
             solve.solve_s.into(),
             solve.fallback.as_deref().unwrap_or("none").into(),
         ])
+    }
+
+    fn is_due(&self, _: f64) -> bool {
+        false
     }
 }
 
@@ -330,6 +360,10 @@ impl<const D: usize> Observer<D> for Snapshots<D> {
             true => self.write(simulation),
             false => Ok(()),
         }
+    }
+
+    fn is_due(&self, time: f64) -> bool {
+        self.schedule.is_due(time)
     }
 }
 

@@ -156,6 +156,10 @@ impl<const D: usize> Observer<D> for Profiles {
         }
         Ok(())
     }
+
+    fn is_due(&self, now: f64) -> bool {
+        self.ahead.last().is_some_and(|(time, _)| *time - self.delay <= now)
+    }
 }
 
 #[cfg(test)]

@@ -75,8 +75,8 @@ impl Progress {
     }
 
     /// Removes the line from a terminal, where the results follow.
-    pub fn finish(self) {
-        if let Display::Terminal(bar) = self.display {
+    pub fn finish(&self) {
+        if let Display::Terminal(bar) = &self.display {
             bar.finish_and_clear();
         }
     }

@@ -53,6 +53,7 @@ pub fn restore<const D: usize>(simulation: &mut Simulation<D>, reader: &Reader) 
     simulation.particles.velocity = velocity;
     simulation.particles.pressure = pressure;
     simulation.particles.id = id;
+    simulation.share_out();
     simulation.feel_last_step();
     simulation.scheme.set_state(reader.f64("scheme")?).ok_or_else(foreign)
 }

@@ -4,8 +4,10 @@ use std::ffi::{CString, c_char, c_int};
 use std::marker::PhantomData;
 use std::ptr;
 use std::rc::Rc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use mpi::Threading;
+use mpi::collective::{CommunicatorCollectives, SystemOperation};
 use mpi::environment::Universe;
 use mpi::ffi::MPI_Comm;
 use mpi::raw::AsRaw;
@@ -22,8 +24,8 @@ pub struct Session {
     world: SimpleCommunicator,
     /// PETSc keeps pointers to the command line until it ends.
     _arguments: Arguments,
-    /// Dropped last: MPI ends after PETSc.
-    _universe: Universe,
+    /// Where this session started MPI itself. Dropped last: MPI ends after PETSc.
+    _universe: Option<Universe>,
 }
 
 /// A command line in the form C's `main` has it.
@@ -32,16 +34,21 @@ struct Arguments {
     pointers: Vec<*mut c_char>,
 }
 
+/// PETSc does not start twice.
+static STARTED: AtomicBool = AtomicBool::new(false);
+
 impl Session {
-    /// Starts MPI, then PETSc with the user's own PETSc tokens (`-ksp_type cg ...`).
+    /// Starts MPI, unless the program has, then PETSc with the user's own PETSc tokens (`-ksp_type cg ...`).
     ///
     /// # Errors
     /// [`Error::Input`] when PETSc rejects the tokens (for instance a missing `-options_file`),
-    /// [`Error::Run`] when MPI already runs in this process.
+    /// [`Error::Run`] when there was a session before in this process.
     pub fn start(petsc_args: &[String]) -> Result<Rc<Self>> {
         // Only this thread calls MPI, while rayon's threads compute: funneled.
-        let (universe, _) = mpi::initialize_with_threading(Threading::Funneled)
-            .ok_or_else(|| Error::Run("MPI already runs in this process; start one Session only".into()))?;
+        let universe = mpi::initialize_with_threading(Threading::Funneled).map(|(universe, _)| universe);
+        if STARTED.swap(true, Ordering::Relaxed) {
+            return Err(Error::Run("PETSc ran in this process already; start one Session only".into()));
+        }
         let mut arguments = Arguments::new(petsc_args)?;
         install_handler()?;
         let mut count = (arguments.pointers.len() - 1) as c_int;
@@ -78,6 +85,13 @@ impl Session {
     /// PETSc's version, for the record of a run.
     pub fn petsc_version() -> String {
         format!("{}.{}.{}", ffi::PETSC_VERSION_MAJOR, ffi::PETSC_VERSION_MINOR, ffi::PETSC_VERSION_SUBMINOR)
+    }
+
+    /// Whether it is so on any rank.
+    pub fn any(&self, local: bool) -> bool {
+        let mut any = local;
+        self.world.all_reduce_into(&local, &mut any, SystemOperation::logical_or());
+        any
     }
 
     /// The communicator of all ranks as PETSc takes it (rsmpi and PETSc share one MPI).

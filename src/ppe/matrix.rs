@@ -20,12 +20,14 @@
 use super::{Needs, PressureSystem, Rows};
 use crate::boundary::DummyWalls;
 use crate::case::LaplacianKind;
+use crate::halo::Halo;
 use crate::kernel::LatticeSums;
 use crate::operators::{Moments, Surroundings};
 use crate::parallel::Ranks;
 use crate::particles::Particles;
 use crate::terms::surface;
 use rayon::prelude::*;
+use std::collections::{BTreeMap, HashMap};
 
 /// Radius of the sparse matrix in spacings: between the diagonal neighbour (1.41 in 2D) and the second (2).
 pub const NEAR: f64 = 1.6;
@@ -67,6 +69,8 @@ pub struct Assembler {
     pub row_of: Vec<u32>,
     /// Particle of each local row.
     pub particle_of: Vec<u32>,
+    /// Global row of each particle, those of other ranks included, or -1.
+    column_of: Vec<i32>,
     blocks: Vec<Block>,
     groups: Groups,
 }
@@ -120,22 +124,21 @@ const BLOCK: usize = 512;
 
 impl Assembler {
     /// Fills [`system`](Self::system) from particles.
-    pub fn assemble<const D: usize>(&mut self, inputs: &Inputs<'_, D>, ranks: &Ranks, needs: Needs) {
-        self.number(inputs, ranks);
+    pub fn assemble<const D: usize>(&mut self, inputs: &Inputs<'_, D>, halo: &Halo<D>, needs: Needs) {
+        self.number(inputs, halo);
         self.blocks.resize_with(self.particle_of.len().div_ceil(BLOCK), Block::default);
-        let (row_of, particle_of) = (&self.row_of, &self.particle_of);
-        let first = self.system.first_row as i32;
+        let (column_of, particle_of) = (&self.column_of, &self.particle_of);
         self.blocks.par_iter_mut().enumerate().for_each(|(k, block)| {
             block.clear();
             for &a in &particle_of[k * BLOCK..((k + 1) * BLOCK).min(particle_of.len())] {
-                block.assemble_row(inputs, row_of, first, a as usize, needs);
+                block.assemble_row(inputs, column_of, a as usize, needs);
             }
         });
         join(&mut self.system.full, &self.blocks, |block| &block.full);
         if needs.symmetric {
             let mut plain = Rows::default();
             join(&mut plain, &self.blocks, |block| &block.plain);
-            self.system.symmetric = symmetric_mean(&plain);
+            self.system.symmetric = symmetric_mean(&plain, self.system.first_row, halo.ranks());
         }
         if needs.sparse {
             join(&mut self.system.sparse, &self.blocks, |block| &block.sparse);
@@ -144,10 +147,10 @@ impl Assembler {
         for block in &self.blocks {
             self.system.rhs.extend_from_slice(&block.rhs);
         }
-        self.find_floating(inputs);
+        self.find_floating(inputs, halo);
     }
 
-    fn number<const D: usize>(&mut self, inputs: &Inputs<'_, D>, ranks: &Ranks) {
+    fn number<const D: usize>(&mut self, inputs: &Inputs<'_, D>, halo: &Halo<D>) {
         let Inputs { particles, surroundings, .. } = inputs;
         self.row_of.clear();
         self.row_of.resize(particles.len(), NO_ROW);
@@ -160,14 +163,59 @@ impl Assembler {
                 self.system.pressure.push(particles.pressure[a]);
             }
         }
-        self.system.first_row = ranks.first_row(self.particle_of.len());
+        let first = halo.ranks().first_row(self.particle_of.len());
+        self.system.first_row = first;
+        let column = |&row: &u32| if row == NO_ROW { -1 } else { first as i32 + row as i32 };
+        self.column_of.clear();
+        self.column_of.extend(self.row_of.iter().map(column));
+        halo.refresh(particles.originals(), &mut self.column_of);
     }
 
-    /// Groups of unknowns that are linked with each other but with no surface.
-    fn find_floating<const D: usize>(&mut self, inputs: &Inputs<'_, D>) {
-        let anchored = |row: usize| inputs.surface[self.particle_of[row] as usize] > 0.0;
-        self.groups.unite(&self.system.full);
-        self.system.floating = self.groups.without(anchored);
+    /// Groups of unknowns that are linked with each other but with no surface. Each group goes by its smallest global row, groups
+    /// at a surface by -1: ranks pass these marks on until the smallest has reached every member.
+    fn find_floating<const D: usize>(&mut self, inputs: &Inputs<'_, D>, halo: &Halo<D>) {
+        let Self { system, groups, column_of, particle_of, .. } = self;
+        let (ranks, first, particles) = (halo.ranks(), system.first_row, inputs.particles);
+        let is_anchored = |row: usize| inputs.surface[particle_of[row] as usize] > 0.0;
+        groups.unite(&system.full, first);
+        let mut marks = groups.marks(first, is_anchored);
+        let foreign: HashMap<i32, usize> = (0..particles.len())
+            .filter(|a| particles.is_foreign(*a) || !halo.holds(*a))
+            .map(|a| (column_of[a], a))
+            .collect();
+        let own = first..first + particle_of.len();
+        let links: Vec<(usize, usize)> = (0..particle_of.len())
+            .flat_map(|k| system.full.row(k).map(move |(column, _)| (k, column)))
+            .filter(|(_, column)| !own.contains(column))
+            .filter_map(|(k, column)| Some((k, *foreign.get(&(column as i32))?)))
+            .collect();
+        let mut mark_of = vec![i32::MAX; particles.len()];
+        let mut changed = true;
+        while ranks.any(changed && ranks.are_several()) {
+            for (k, &a) in particle_of.iter().enumerate() {
+                mark_of[a as usize] = marks[groups.root(k as u32) as usize];
+            }
+            halo.refresh(particles.originals(), &mut mark_of);
+            changed = false;
+            for &(k, a) in &links {
+                let mark = &mut marks[groups.root(k as u32) as usize];
+                changed |= mark_of[a] < *mark;
+                *mark = mark_of[a].min(*mark);
+            }
+        }
+        let mut members: BTreeMap<i32, Vec<u32>> = BTreeMap::new();
+        for k in 0..particle_of.len() as u32 {
+            let mark = marks[groups.root(k) as usize];
+            if mark >= 0 {
+                members.entry(mark).or_default().push(k);
+            }
+        }
+        // All ranks list all groups, also those without a member here.
+        let names: Vec<f64> = members.keys().map(|&mark| f64::from(mark)).collect();
+        for name in ranks.all(&names).concat() {
+            members.entry(name as i32).or_default();
+        }
+        system.floating = members.into_values().collect();
     }
 
     /// Writes the solved pressures back to the particles; particles without an unknown get zero.
@@ -190,8 +238,7 @@ impl Block {
     fn assemble_row<const D: usize>(
         &mut self,
         inputs: &Inputs<'_, D>,
-        row_of: &[u32],
-        first: i32,
+        column_of: &[i32],
         a: usize,
         needs: Needs,
     ) {
@@ -206,7 +253,7 @@ impl Block {
         let anchor = factor * surface::diagonal(moments, weight, lattice, inputs.spacing);
         let near = (NEAR * inputs.spacing).powi(2);
         let near_scale = 1.0 / lattice.near_share;
-        let (walls_end, own) = (particles.walls().end, first + row_of[a] as i32);
+        let (walls_end, own) = (particles.walls().end, column_of[a]);
 
         let (mut diagonal, mut near_diagonal, mut rhs) = (anchor, anchor, -inputs.source[a]);
         let mut plain_diagonal = anchor;
@@ -228,7 +275,7 @@ impl Block {
                     continue;
                 }
             }
-            let column = first + row_of[target] as i32;
+            let column = column_of[target];
             diagonal += coefficient;
             let is_wall = target < walls_end;
             let put = |rows: &mut Partial, value: f64| match is_wall {
@@ -275,9 +322,42 @@ fn join(rows: &mut Rows, blocks: &[Block], part: impl Fn(&Block) -> &Partial) {
     }
 }
 
+/// The transposed matrix, of which each rank has the rows from `first` on.
+fn transposed(rows: &Rows, first: usize, ranks: &Ranks) -> Rows {
+    if !ranks.are_several() {
+        return rows.transpose();
+    }
+    let ends: Vec<usize> = ranks
+        .all(&[rows.len() as f64])
+        .into_iter()
+        .flatten()
+        .scan(0, |end, count| {
+            *end += count as usize;
+            Some(*end)
+        })
+        .collect();
+    let mut parts = vec![vec![]; ranks.count()];
+    for k in 0..rows.len() {
+        for (column, value) in rows.row(k) {
+            let owner = ends.partition_point(|end| *end <= column);
+            parts[owner].extend([column as f64, (first + k) as f64, value]);
+        }
+    }
+    let mut entries: Vec<(usize, usize, f64)> = ranks
+        .exchange(parts)
+        .concat()
+        .chunks_exact(3)
+        .map(|entry| (entry[0] as usize - first, entry[1] as usize, entry[2]))
+        .collect();
+    entries.sort_unstable_by_key(|&(row, column, _)| (row, column));
+    let start = (0..=rows.len()).map(|k| entries.partition_point(|(row, ..)| *row < k) as i32).collect();
+    let column = entries.iter().map(|(_, column, _)| *column as i32).collect();
+    Rows { start, column, value: entries.iter().map(|(.., value)| *value).collect() }
+}
+
 /// (U + U^T) / 2 off the diagonal, with U's row sums kept: symmetric, and as diagonally dominant as U.
-fn symmetric_mean(plain: &Rows) -> Rows {
-    let transposed = plain.transpose();
+fn symmetric_mean(plain: &Rows, first: usize, ranks: &Ranks) -> Rows {
+    let transposed = transposed(plain, first, ranks);
     let mut mean = Rows { start: vec![0], ..Rows::default() };
     for k in 0..plain.len() {
         let excess: f64 = plain.row(k).map(|(_, v)| v).sum();
@@ -291,7 +371,7 @@ fn symmetric_mean(plain: &Rows) -> Rows {
             let here = |entry: &(usize, f64)| entry.0 == column;
             let sides = [left.next_if(here), right.next_if(here)];
             let value = 0.5 * sides.iter().flatten().map(|(_, v)| v).sum::<f64>();
-            if column == k {
+            if column == first + k {
                 at = mean.column.len();
             } else {
                 diagonal -= value;
@@ -321,32 +401,25 @@ impl Groups {
         k
     }
 
-    fn unite(&mut self, rows: &Rows) {
+    /// Groups of the rows of this rank, which begin at the global row `first`.
+    fn unite(&mut self, rows: &Rows, first: usize) {
         self.parent.clear();
         self.parent.extend(0..rows.len() as u32);
         for k in 0..rows.len() {
-            for (c, _) in rows.row(k).filter(|(c, _)| *c < k) {
-                let (a, b) = (self.root(k as u32), self.root(c as u32));
+            for (c, _) in rows.row(k).filter(|(c, _)| (first..first + k).contains(c)) {
+                let (a, b) = (self.root(k as u32), self.root((c - first) as u32));
                 self.parent[a.max(b) as usize] = a.min(b);
             }
         }
     }
 
-    /// Rows of each component none of whose members is `anchored`.
-    fn without(&mut self, anchored: impl Fn(usize) -> bool) -> Vec<Vec<u32>> {
+    /// For the root of each group its global row, or -1 if a member is anchored.
+    fn marks(&mut self, first: usize, is_anchored: impl Fn(usize) -> bool) -> Vec<i32> {
         let count = self.parent.len();
-        let mut is_anchored = vec![false; count];
-        for k in 0..count {
-            let root = self.root(k as u32) as usize;
-            is_anchored[root] |= anchored(k);
+        let mut marks: Vec<i32> = (first as i32..).take(count).collect();
+        for k in (0..count).filter(|&k| is_anchored(k)) {
+            marks[self.root(k as u32) as usize] = -1;
         }
-        let mut members: std::collections::BTreeMap<u32, Vec<u32>> = Default::default();
-        for k in 0..count as u32 {
-            let root = self.root(k);
-            if !is_anchored[root as usize] {
-                members.entry(root).or_default().push(k);
-            }
-        }
-        members.into_values().collect()
+        marks
     }
 }

@@ -130,8 +130,8 @@ struct Method {
     once: bool,
     /// Preconditioner from the sparse matrix.
     sparse: bool,
-    /// Unknowns it was last used for; it serves one size only.
-    size: Option<usize>,
+    /// Unknowns it was last used for, in all and on this rank; it serves one size only.
+    size: Option<(usize, usize)>,
 }
 
 /// A pressure system as PETSc objects.
@@ -172,7 +172,8 @@ impl PressureSolver {
 
     /// Decides and builds the method once; drops the sparse matrix where it is not wanted.
     fn prepare(&mut self, problem: &mut Problem) -> Result<()> {
-        if self.method.as_ref().is_none_or(|method| !method.serves(&self.plan, problem.unknowns)) {
+        let is_new = self.method.as_ref().is_none_or(|method| !method.serves(&self.plan, problem.size()));
+        if self.session.any(is_new) {
             self.method = Some(Method::new(&self.session, &self.plan).map_err(wrong_options)?);
         }
         if !self.plan.sparse {
@@ -463,15 +464,15 @@ impl Method {
 
     /// Whether it can take another system: of the same size only, and PETSc's own multigrids keep
     /// coarse grids whose sizes change with the pattern.
-    fn serves(&self, plan: &Plan, unknowns: usize) -> bool {
+    fn serves(&self, plan: &Plan, asked: (usize, usize)) -> bool {
         let own_multigrid = plan.pc != "hypre" && MULTIGRID.contains(&plan.pc.as_str());
-        self.size.is_none_or(|size| size == unknowns && !own_multigrid)
+        self.size.is_none_or(|size| size == asked && !own_multigrid)
     }
 
     /// Solves and judges by the true residual; adds to the record what it cost.
     fn run(&mut self, problem: &Problem, from_guess: bool, record: &mut SolveRecord) -> Result<Attempt> {
         let clock = Instant::now();
-        self.size = Some(problem.unknowns);
+        self.size = Some(problem.size());
         self.set_up(problem)?;
         record.setup_s += clock.elapsed().as_secs_f64();
         let clock = Instant::now();
@@ -581,6 +582,11 @@ impl Problem {
             problem.attach_null_spaces(session, &system.floating)?;
         }
         Ok(problem)
+    }
+
+    /// Unknowns in all and on this rank.
+    fn size(&self) -> (usize, usize) {
+        (self.unknowns, self.rhs.local_size())
     }
 
     /// Why there is nothing to iterate on, if so.
@@ -701,6 +707,7 @@ fn set_defaults(options: &Options, prefix: &str, pc: &str) -> Result<()> {
         "icc" => options.set_default(&format!("{prefix}pc_factor_shift_type"), "positive_definite"),
         // A floating set of unknowns ends in a zero pivot.
         "ilu" => options.set_default(&format!("{prefix}pc_factor_shift_type"), "nonzero"),
+        "bjacobi" => options.set_default(&format!("{prefix}sub_pc_factor_shift_type"), "nonzero"),
         _ => Ok(()),
     }
 }

@@ -132,10 +132,10 @@ impl<const D: usize> Isph<D> {
         let lattice = params.lattice_sums();
         let volume = params.volume();
         let mut support = Support { neighbors: Neighbors::default(), active: vec![], volume };
-        let halo = Halo::new(params.periodic, params.support());
+        let halo = Halo::new(params.periodic, params.support()).over(params.ranks, particles);
         Self {
             walls: super::dummy_walls(&params, particles, &lattice, &mut support.neighbors),
-            ranks: Ranks,
+            ranks: params.ranks,
             halo,
             lattice,
             solver,
@@ -163,7 +163,8 @@ impl<const D: usize> Isph<D> {
         self.halo.renew(particles);
         let (walls, support) = (&self.walls, &mut self.support);
         let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
-        let threshold = |a| walls.threshold(particles, a);
+        let halo = &self.halo;
+        let threshold = |a| if halo.holds(a) { walls.threshold(particles, a) } else { f64::INFINITY };
         support.neighbors.search(kernel, h, &particles.position, &Layout::of(particles), threshold);
         walls.mark_active(particles, &support.neighbors, &mut support.active);
         self.halo.refresh(particles.originals(), &mut support.active);
@@ -240,7 +241,7 @@ impl<const D: usize> Isph<D> {
             spacing: self.params.spacing,
             laplacian: self.method.laplacian,
         };
-        self.assembler.assemble(&inputs, &self.ranks, self.solver.needs());
+        self.assembler.assemble(&inputs, &self.halo, self.solver.needs());
     }
 
     /// Pressures back to the particles; returns how many were clipped.
@@ -289,7 +290,10 @@ impl<const D: usize> Isph<D> {
 
     fn collide(&mut self, particles: &mut Particles<D>) -> usize {
         match self.method.collisions {
-            Some(collisions) => collisions.apply(particles, &self.support.neighbors, &mut self.pairs),
+            Some(collisions) => {
+                self.halo.share(particles, |particles| &mut particles.velocity);
+                collisions.apply(particles, &self.support.neighbors, &mut self.pairs)
+            }
             None => 0,
         }
     }
@@ -376,6 +380,14 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         let &[acceleration, steps, has_surface] = state else { return None };
         (self.acceleration, self.steps, self.has_surface) = (acceleration, steps as u64, has_surface == 1.0);
         Some(())
+    }
+
+    fn params(&self) -> &Params<D> {
+        &self.params
+    }
+
+    fn halo(&self) -> &Halo<D> {
+        &self.halo
     }
 
     fn set_gravity(&mut self, gravity: Vector<D>) {

@@ -1,6 +1,7 @@
 //! Schemes: what happens in one time step.
 
 pub mod isph;
+pub mod still;
 pub mod wcsph;
 
 use crate::Result;
@@ -9,6 +10,7 @@ use crate::case::Slip;
 use crate::halo::{Halo, PeriodicBox};
 use crate::kernel::{CubicSpline, KernelKind, LatticeSums, Quintic, Smoothing, WendlandC2};
 use crate::neighbors::{Layout, Neighbors};
+use crate::parallel::Ranks;
 use crate::particles::{Particles, ReorderScratch, Vector};
 use crate::ppe::SolveRecord;
 use crate::ppe::matrix::NEAR;
@@ -35,6 +37,8 @@ pub struct Params<const D: usize> {
     pub smoothing_ratio: f64,
     /// Periodic sides, if any.
     pub periodic: Option<PeriodicBox<D>>,
+    /// Ranks that share the particles.
+    pub ranks: Ranks,
 }
 
 impl<const D: usize> Params<D> {
@@ -146,6 +150,12 @@ pub trait Scheme<const D: usize> {
 
     /// Takes back a [`state`](Self::state); `None` if it is not one.
     fn set_state(&mut self, state: &[f64]) -> Option<()>;
+
+    /// What it was built from.
+    fn params(&self) -> &Params<D>;
+
+    /// Ghosts, and who holds which particle.
+    fn halo(&self) -> &Halo<D>;
 
     /// What the last step knows about each particle beside its state.
     fn fields(&self) -> Fields<'_, D>;

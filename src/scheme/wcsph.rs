@@ -201,8 +201,8 @@ impl<const D: usize> Wcsph<D> {
         let walls = super::dummy_walls(&params, particles, &lattice, &mut neighbors);
         Self {
             state_equation: Tait::new(params.density, method.sound_speed),
-            ranks: Ranks,
-            halo: Halo::new(params.periodic, params.support()),
+            ranks: params.ranks,
+            halo: Halo::new(params.periodic, params.support()).over(params.ranks, particles),
             walls,
             neighbors,
             wet: vec![],
@@ -236,7 +236,9 @@ impl<const D: usize> Wcsph<D> {
         // a support behind the face.
         let (walls, solids, support) = (particles.walls().end, particles.solids(), self.params.support());
         let is_near = |a: usize| self.method.wall_pressure && particles.depth[a] < support;
+        let halo = &self.halo;
         let threshold = |a| match a {
+            a if !halo.holds(a) => f64::INFINITY,
             a if a >= solids => f64::NEG_INFINITY,
             a if a < walls || is_near(a) => f64::MIN_POSITIVE,
             _ => f64::INFINITY,
@@ -599,13 +601,18 @@ impl Pairs {
 
 /// Hydrostatic pressure, in Pa, of each piece of liquid under its own top: a particle carries the weight of the column
 /// of particles on it, and half a spacing on top of the highest. Where columns of different height meet, the flow
-/// starts with that difference, as when a gate is drawn at once.
-fn hydrostatic<const D: usize>(particles: &mut Particles<D>, neighbors: &Neighbors<D>, params: &Params<D>) {
+/// starts with that difference, as when a gate is drawn at once. Ghosts keep theirs. Returns whether anything changed.
+fn hydrostatic<const D: usize>(
+    particles: &mut Particles<D>,
+    neighbors: &Neighbors<D>,
+    params: &Params<D>,
+) -> bool {
     let weight = params.density * params.gravity;
-    let Some(down) = weight.try_normalize(0.0) else { return };
+    let Some(down) = weight.try_normalize(0.0) else { return false };
     let spacing = params.spacing;
     let mut order: Vec<usize> = particles.fluid().collect();
     let position = &particles.position;
+    let mut changed = false;
     order.sort_by(|&a, &b| down.dot(&position[a]).total_cmp(&down.dot(&position[b])));
     for a in order {
         let mut pressure = 0.5 * spacing * weight.norm();
@@ -618,8 +625,9 @@ fn hydrostatic<const D: usize>(particles: &mut Particles<D>, neighbors: &Neighbo
                 pressure = pressure.max(particles.pressure[particles.original(b)] + weight.dot(&r_ab));
             }
         }
-        particles.pressure[a] = pressure;
+        changed |= std::mem::replace(&mut particles.pressure[a], pressure) != pressure;
     }
+    changed
 }
 
 impl<const D: usize> Scheme<D> for Wcsph<D> {
@@ -648,8 +656,10 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
 
     fn start(&mut self, particles: &mut Particles<D>) -> Result<()> {
         self.survey(particles);
-        hydrostatic(particles, &self.neighbors, &self.params);
-        self.halo.share(particles, |particles| &mut particles.pressure);
+        // Columns may lean over to other ranks and back.
+        while self.ranks.any(hydrostatic(particles, &self.neighbors, &self.params)) {
+            self.halo.share(particles, |particles| &mut particles.pressure);
+        }
         self.densities(particles);
         self.pressures(particles);
         self.rates(particles);
@@ -669,6 +679,14 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
         (self.acceleration, self.largest_variation) = (acceleration, largest_variation);
         (self.steps, self.has_surface) = (steps as u64, has_surface == 1.0);
         Some(())
+    }
+
+    fn params(&self) -> &Params<D> {
+        &self.params
+    }
+
+    fn halo(&self) -> &Halo<D> {
+        &self.halo
     }
 
     fn set_gravity(&mut self, gravity: Vector<D>) {

@@ -3,7 +3,7 @@
 //! In spray and at impact the pressure alone cannot keep single particles apart. A pair closer than the collision
 //! distance that still approaches exchanges an impulse along its line of centres with restitution e, so that its
 //! relative normal velocity becomes -e times itself: momentum is conserved and energy never grows. Walls have
-//! infinite mass. Pairs are treated one after the other in a fixed order.
+//! infinite mass. Pairs are treated one after the other in a fixed order, those across ranks first and at once.
 //!
 //! Between the particles of a wall a single drop on a dry floor would still slip through, as nothing but a collision stops it
 //! there. So a particle that has got behind the face of a wall is put back on it and rebounds.
@@ -36,29 +36,40 @@ impl Collisions {
         let close = |a: usize| {
             let r_a = position[a];
             let row = neighbors.row(a).index.iter().copied();
-            row.filter(move |&b| then.original(b as usize) < a)
+            row.filter(move |&b| then.original(b as usize) < a || then.is_foreign(b as usize))
                 .filter(move |&b| (r_a - position[b as usize]).norm_squared() < square)
                 .map(move |b| (a as u32, b))
         };
         pairs.clear();
         pairs.par_extend(fluid.into_par_iter().with_min_len(256).flat_map_iter(close));
+        let impulse = |particles: &Particles<D>, a: usize, b: usize| -> Option<Vector<D>> {
+            let normal = (particles.position[a] - particles.position[b]).try_normalize(0.0)?;
+            let v_ab = particles.velocity[a] - particles.velocity[particles.original(b)];
+            let approach = v_ab.dot(&normal);
+            (approach < 0.0).then(|| -(1.0 + self.restitution) * approach * normal)
+        };
         let mut collided = 0;
+        // Both ranks find the same impulse, from the velocities that they shared, and each takes its half of it.
+        let across: Vec<(usize, Vector<D>)> = pairs
+            .extract_if(.., |(_, b)| particles.is_foreign(*b as usize))
+            .filter_map(|(a, b)| {
+                let (a, b) = (a as usize, b as usize);
+                let impulse = impulse(particles, a, b)?;
+                collided += usize::from(particles.id[a] > particles.id[b]);
+                Some((a, 0.5 * impulse))
+            })
+            .collect();
+        across.into_iter().for_each(|(a, half)| particles.velocity[a] += half);
         for &(a, b) in pairs.iter() {
             let (a, b) = (a as usize, b as usize);
-            let Some(normal) = (particles.position[a] - particles.position[b]).try_normalize(0.0) else {
-                continue;
-            };
+            let Some(impulse) = impulse(particles, a, b) else { continue };
+            collided += 1;
             let b = particles.original(b);
-            let approach = (particles.velocity[a] - particles.velocity[b]).dot(&normal);
-            if approach < 0.0 {
-                collided += 1;
-                let impulse: Vector<D> = -(1.0 + self.restitution) * approach * normal;
-                if b < solids {
-                    particles.velocity[a] += impulse;
-                } else {
-                    particles.velocity[a] += 0.5 * impulse;
-                    particles.velocity[b] -= 0.5 * impulse;
-                }
+            if b < solids {
+                particles.velocity[a] += impulse;
+            } else {
+                particles.velocity[a] += 0.5 * impulse;
+                particles.velocity[b] -= 0.5 * impulse;
             }
         }
         collided

@@ -80,6 +80,10 @@ impl<const D: usize> Observer<D> for Pictures<D> {
     fn observe(&mut self, simulation: &Simulation<D>, _: &StepReport) -> Result<()> {
         self.draw_due(simulation)
     }
+
+    fn is_due(&self, time: f64) -> bool {
+        self.snapshots.last().is_some_and(|instant| *instant <= time)
+    }
 }
 
 /// Draws what the tables of a run hold: a picture a gauge, one of each history column with a measured series, and one of

@@ -1,0 +1,237 @@
+//! This rank among many: the one seam through which sums, extrema, row numbers and particles pass.
+//!
+//! On one rank every operation is the identity and no MPI is needed. Code above this module and [`halo`](crate::halo) never
+//! asks how many ranks there are: it calls the same operations on any number, on all ranks in the same order.
+//!
+//! Messages are doubles: whatever travels is [`Packed`] into them. A particle's fields are a few doubles each, so
+//! the numbers cost little more than their own types would, and no type needs an MPI twin.
+//!
+//! A program that no MPI launcher started never starts MPI for itself ([`start`]); PETSc does, on one rank.
+
+pub mod partition;
+
+#[cfg(feature = "mpi")]
+mod world;
+#[cfg(not(feature = "mpi"))]
+#[path = "alone.rs"]
+mod world;
+
+pub use world::{Running, abort, launch, start};
+
+use crate::particles::Vector;
+use crate::{Error, Result};
+
+/// The ranks that share a simulation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Ranks {
+    rank: usize,
+    count: usize,
+    /// How many of them are on this machine.
+    here: usize,
+}
+
+impl Default for Ranks {
+    /// One rank, this process.
+    fn default() -> Self {
+        Self { rank: 0, count: 1, here: 1 }
+    }
+}
+
+impl Ranks {
+    /// Whether this is the first rank, the one that speaks and writes for all.
+    pub fn is_first(&self) -> bool {
+        self.rank == 0
+    }
+
+    /// Number of this rank, from 0.
+    pub fn rank(&self) -> usize {
+        self.rank
+    }
+
+    /// Number of ranks.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Threads for this rank where nobody asked for a number: its share of the machine's cores, or on one rank what rayon takes.
+    pub fn threads(&self) -> Option<usize> {
+        let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
+        self.are_several().then_some((cores / self.here).max(1))
+    }
+
+    /// Whether others take part.
+    pub fn are_several(&self) -> bool {
+        self.count > 1
+    }
+
+    /// Sum over ranks.
+    pub fn sum(&self, local: f64) -> f64 {
+        self.sums(&[local])[0]
+    }
+
+    /// Sums over ranks, entry by entry.
+    pub fn sums(&self, local: &[f64]) -> Vec<f64> {
+        if self.are_several() { world::sums(local) } else { local.to_vec() }
+    }
+
+    /// Largest value over ranks.
+    pub fn max(&self, local: f64) -> f64 {
+        if self.are_several() { world::max(local) } else { local }
+    }
+
+    /// Whether it is so on any rank.
+    pub fn any(&self, local: bool) -> bool {
+        self.max(f64::from(u8::from(local))) > 0.0
+    }
+
+    /// Global number of this rank's first row, given its number of rows: rows are contiguous by rank.
+    pub fn first_row(&self, local_rows: usize) -> usize {
+        let counts = self.all(&[local_rows as f64]);
+        counts[..self.rank].iter().flatten().sum::<f64>() as usize
+    }
+
+    /// What each rank has, on every rank.
+    pub fn all(&self, local: &[f64]) -> Vec<Vec<f64>> {
+        self.exchange(vec![local.to_vec(); self.count])
+    }
+
+    /// What each rank has, on the first one; the others get empty lists.
+    pub fn gather(&self, local: Vec<f64>) -> Vec<Vec<f64>> {
+        let mut parts = vec![vec![]; self.count];
+        parts[0] = local;
+        self.exchange(parts)
+    }
+
+    /// Sends `parts[q]` to rank q, for every q; returns what came from each.
+    pub fn exchange(&self, parts: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+        if !self.are_several() {
+            return parts;
+        }
+        let counts = world::counts(&parts);
+        world::exchange(&parts, &counts)
+    }
+
+    /// [`exchange`](Self::exchange) where this rank knows how many doubles come from each.
+    pub fn exchange_expected(&self, parts: Vec<Vec<f64>>, counts: Vec<usize>) -> Vec<Vec<f64>> {
+        if self.are_several() { world::exchange(&parts, &counts) } else { parts }
+    }
+
+    /// The first rank's text, on all ranks.
+    pub fn same_text(&self, text: String) -> String {
+        if !self.are_several() {
+            return text;
+        }
+        let bytes: Vec<f64> = text.bytes().map(f64::from).collect();
+        let mine = if self.is_first() { vec![bytes; self.count] } else { vec![vec![]; self.count] };
+        let bytes = self.exchange(mine).swap_remove(0).into_iter().map(|byte| byte as u8).collect();
+        String::from_utf8(bytes).expect("a text was sent")
+    }
+
+    /// Makes a failure of any rank that of all: its own on the first rank, which says it, and an error of the same kind
+    /// with an empty message on the others.
+    pub fn agree<T>(&self, outcome: Result<T>) -> Result<T> {
+        if !self.are_several() {
+            return outcome;
+        }
+        let failed = if outcome.is_err() { self.rank as f64 } else { f64::INFINITY };
+        let first = -self.max(-failed);
+        if first.is_infinite() {
+            return outcome;
+        }
+        // Kind and sentence of the first rank that failed, told to all.
+        let mine = outcome.err().filter(|_| self.rank as f64 == first);
+        let words = mine.map_or_else(Vec::new, |error| {
+            let kind = match &error {
+                Error::Input(_) => 0_u8,
+                Error::Interrupted(_) => 1,
+                _ => 2,
+            };
+            std::iter::once(kind).chain(error.to_string().into_bytes()).map(f64::from).collect()
+        });
+        let said: Vec<u8> = self.all(&words).concat().into_iter().map(|byte| byte as u8).collect();
+        let sentence =
+            if self.is_first() { String::from_utf8_lossy(&said[1..]).into_owned() } else { String::new() };
+        Err(match said[0] {
+            0 => Error::Input(sentence),
+            1 => Error::Interrupted(sentence),
+            _ => Error::Run(sentence),
+        })
+    }
+}
+
+/// What travels between ranks, as doubles.
+pub trait Packed: Copy {
+    /// Number of doubles.
+    const WIDTH: usize;
+    /// Appends it to a message.
+    fn pack(&self, message: &mut Vec<f64>);
+    /// From its doubles.
+    fn unpack(words: &[f64]) -> Self;
+}
+
+/// Plain numbers that a double holds exactly: numbers of particles stay below 2^53.
+macro_rules! packed_numbers {
+    ($($number:ty),*) => {$(
+        impl Packed for $number {
+            const WIDTH: usize = 1;
+            fn pack(&self, message: &mut Vec<f64>) {
+                message.push(*self as f64);
+            }
+            fn unpack(words: &[f64]) -> Self {
+                words[0] as $number
+            }
+        }
+    )*};
+}
+packed_numbers!(f64, i32, u32, u64);
+
+impl Packed for bool {
+    const WIDTH: usize = 1;
+    fn pack(&self, message: &mut Vec<f64>) {
+        message.push(f64::from(u8::from(*self)));
+    }
+    fn unpack(words: &[f64]) -> Self {
+        words[0] != 0.0
+    }
+}
+
+impl<const D: usize> Packed for Vector<D> {
+    const WIDTH: usize = D;
+    fn pack(&self, message: &mut Vec<f64>) {
+        message.extend(self.iter());
+    }
+    fn unpack(words: &[f64]) -> Self {
+        Self::from_column_slice(words)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn round_trip<T: Packed + PartialEq + std::fmt::Debug>(value: T) {
+        let mut message = vec![];
+        value.pack(&mut message);
+        assert_eq!(message.len(), T::WIDTH);
+        assert_eq!(T::unpack(&message), value);
+    }
+
+    #[test]
+    fn what_is_packed_comes_back() {
+        round_trip(0.1);
+        round_trip(-7);
+        round_trip(u32::MAX);
+        round_trip(1_u64 << 52);
+        round_trip(true);
+        round_trip(Vector::<3>::new(1.0, 2.0, 3.0));
+    }
+
+    #[test]
+    fn one_rank_is_all_there_is() {
+        let ranks = Ranks::default();
+        assert_eq!((ranks.sum(2.0), ranks.max(3.0), ranks.first_row(7)), (2.0, 3.0, 0));
+        assert_eq!(ranks.gather(vec![1.0, 2.0]), [[1.0, 2.0]]);
+        assert_eq!(ranks.same_text("out".into()), "out");
+        assert!(ranks.agree(Ok(())).is_ok() && ranks.any(true) && !ranks.any(false));
+    }
+}

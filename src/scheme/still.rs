@@ -1,0 +1,178 @@
+//! The whole scene at one moment, as those see it who look: particles and fields of all ranks, gathered on the first.
+//!
+//! Looking costs what gathering and one neighbour search on one rank cost, and the memory of the whole scene there.
+
+use super::{Compressibility, Fields, Params, Scheme, Stages, StepReport};
+use crate::halo::Halo;
+use crate::neighbors::{Layout, Neighbors};
+use crate::parallel::{Packed, Ranks};
+use crate::particles::{Fluid, Particles, Vector};
+use crate::{Error, Result};
+use std::path::Path;
+
+/// What a scheme knows, without the ability to go on.
+pub struct Still<const D: usize> {
+    params: Params<D>,
+    halo: Halo<D>,
+    crowding: Vec<f64>,
+    surface: Vec<f64>,
+    active: Vec<bool>,
+    wall_force: Vec<Vector<D>>,
+    neighbors: Neighbors<D>,
+    walls_carry_pressure: bool,
+    state: Vec<f64>,
+    compressibility: Option<Compressibility>,
+    stages: Stages,
+}
+
+/// One particle on its way to the first rank: number if it is a solid, state, crowding, surface weight, activity, force.
+type Record<const D: usize> = (Option<usize>, Fluid<D>, f64, f64, bool, Vector<D>);
+
+const fn width(dimension: usize) -> usize {
+    3 * dimension + 6
+}
+
+impl<const D: usize> Still<D> {
+    /// Gathers the `particles` of all ranks, which `scheme` advances; liquid comes sorted by id. `None` on all ranks but the
+    /// first.
+    pub fn gather(scheme: &dyn Scheme<D>, particles: &Particles<D>) -> Option<(Particles<D>, Self)> {
+        let (fields, halo, params) = (scheme.fields(), scheme.halo(), scheme.params());
+        let held = (0..particles.owned()).filter(|&a| halo.holds(a));
+        let mut message = Vec::with_capacity(held.clone().count() * width(D));
+        for a in held {
+            let number = Some(a).filter(|a| *a < particles.solids());
+            // A failing state may have outgrown its fields.
+            let crowding = fields.crowding.get(a).copied().unwrap_or(1.0);
+            let surface = fields.surface.get(a).copied().unwrap_or(0.0);
+            let active = fields.active.get(a).copied().unwrap_or(number.is_none());
+            let force = fields.wall_force.get(a).copied().filter(|_| number.is_some());
+            let force = force.unwrap_or_else(Vector::zeros);
+            pack(&(number, particles.fluid_particle(a), crowding, surface, active, force), &mut message);
+        }
+        let parts = params.ranks.gather(message);
+        if !params.ranks.is_first() {
+            return None;
+        }
+        let records = parts.iter().flat_map(|part| part.chunks_exact(width(D))).map(unpack);
+        let (solids, mut liquid): (Vec<Record<D>>, Vec<Record<D>>) =
+            records.partition(|(number, ..)| number.is_some());
+        liquid.sort_unstable_by_key(|(_, (.., id), ..)| *id);
+        let mut whole = particles.clone();
+        whole.retain_fluid(|_| false);
+        whole.take_in(liquid.iter().map(|(_, particle, ..)| *particle));
+        let count = whole.len();
+        let mut still = Self {
+            params: Params { ranks: Ranks::default(), ..params.clone() },
+            halo: Halo::new(params.periodic, params.support()),
+            crowding: vec![1.0; count],
+            surface: vec![0.0; count],
+            active: vec![true; count],
+            wall_force: vec![Vector::zeros(); fields.wall_force.len()],
+            neighbors: Neighbors::default(),
+            walls_carry_pressure: fields.walls_carry_pressure,
+            state: scheme.state(),
+            compressibility: scheme.compressibility(),
+            stages: scheme.stages().clone(),
+        };
+        let first = whole.solids();
+        let numbered = liquid.into_iter().enumerate().map(|(k, record)| (first + k, record));
+        let solids = solids.into_iter().filter_map(|record| Some((record.0?, record)));
+        for (a, (_, (_, velocity, pressure, _), crowding, surface, active, force)) in solids.chain(numbered) {
+            (whole.velocity[a], whole.pressure[a]) = (velocity, pressure);
+            (still.crowding[a], still.surface[a], still.active[a]) = (crowding, surface, active);
+            if let Some(place) = still.wall_force.get_mut(a) {
+                *place = force;
+            }
+        }
+        still.look_around(&mut whole);
+        Some((whole, still))
+    }
+
+    /// Ghosts and neighbours of walls and liquid.
+    fn look_around(&mut self, whole: &mut Particles<D>) {
+        self.halo.renew(whole);
+        for field in [&mut self.crowding, &mut self.surface] {
+            field.resize(whole.len(), 0.0);
+            self.halo.refresh(whole.originals(), field);
+        }
+        self.active.resize(whole.len(), false);
+        self.halo.refresh(whole.originals(), &mut self.active);
+        let dummies = whole.dummies();
+        let threshold = |a| if dummies.contains(&a) { f64::INFINITY } else { f64::NEG_INFINITY };
+        let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
+        self.neighbors.search(kernel, h, &whole.position, &Layout::of(whole), threshold);
+    }
+}
+
+fn pack<const D: usize>(record: &Record<D>, message: &mut Vec<f64>) {
+    let (number, (position, velocity, pressure, id), crowding, surface, active, force) = record;
+    message.push(number.map_or(-1.0, |number| number as f64));
+    [position, velocity, force].into_iter().for_each(|vector| vector.pack(message));
+    message.extend([*pressure, *id as f64, *crowding, *surface, f64::from(u8::from(*active))]);
+}
+
+fn unpack<const D: usize>(words: &[f64]) -> Record<D> {
+    let number = (words[0] >= 0.0).then_some(words[0] as usize);
+    let vector = |k: usize| Vector::unpack(&words[1 + k * D..1 + (k + 1) * D]);
+    let rest = &words[1 + 3 * D..];
+    let particle = (vector(0), vector(1), rest[0], rest[1] as u64);
+    (number, particle, rest[2], rest[3], rest[4] != 0.0, vector(2))
+}
+
+impl<const D: usize> Scheme<D> for Still<D> {
+    fn step(&mut self, _: &mut Particles<D>, _: f64) -> Result<StepReport> {
+        Err(Error::Run("a scene that was gathered to be looked at cannot go on".into()))
+    }
+
+    fn start(&mut self, _: &mut Particles<D>) -> Result<()> {
+        Ok(())
+    }
+
+    fn params(&self) -> &Params<D> {
+        &self.params
+    }
+
+    fn halo(&self) -> &Halo<D> {
+        &self.halo
+    }
+
+    fn set_gravity(&mut self, gravity: Vector<D>) {
+        self.params.gravity = gravity;
+    }
+
+    fn max_dt(&self, _: &Particles<D>) -> f64 {
+        f64::INFINITY
+    }
+
+    fn state(&self) -> Vec<f64> {
+        self.state.clone()
+    }
+
+    fn set_state(&mut self, state: &[f64]) -> Option<()> {
+        self.state = state.to_vec();
+        Some(())
+    }
+
+    fn fields(&self) -> Fields<'_, D> {
+        Fields {
+            crowding: &self.crowding,
+            surface: &self.surface,
+            active: &self.active,
+            neighbors: &self.neighbors,
+            walls_carry_pressure: self.walls_carry_pressure,
+            wall_force: &self.wall_force,
+        }
+    }
+
+    fn save_system(&self, _: &Path, _: &str) -> Result<()> {
+        Ok(())
+    }
+
+    fn compressibility(&self) -> Option<Compressibility> {
+        self.compressibility
+    }
+
+    fn stages(&self) -> &Stages {
+        &self.stages
+    }
+}

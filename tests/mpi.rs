@@ -1,0 +1,145 @@
+//! The same physics on any number of ranks: the program on its own under mpiexec.
+#![cfg(feature = "mpi")]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use sphpetsc::output::checkpoint::{self, Reader};
+use tempfile::TempDir;
+
+/// Runs `line` on `ranks` ranks in `folder`; `None` without mpiexec.
+fn program(folder: &TempDir, line: &str, ranks: usize) -> Option<Output> {
+    if Command::new("mpiexec").arg("--version").output().is_err() {
+        eprintln!("skipped: no mpiexec");
+        return None;
+    }
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sphpetsc"));
+    command.current_dir(folder).args(line.split(' ')).args(["--ranks", &ranks.to_string(), "--threads", "1"]);
+    Some(command.output().unwrap())
+}
+
+/// Runs `line` with its output in a folder named by the ranks; false without mpiexec.
+fn done(folder: &TempDir, line: &str, ranks: usize) -> bool {
+    let Some(output) = program(folder, &format!("{line} --quiet --out {ranks}"), ranks) else { return false };
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{line} on {ranks} ranks: {said}");
+    true
+}
+
+fn state(folder: &TempDir, ranks: usize) -> Reader {
+    let path = folder.path().join(ranks.to_string()).join("checkpoint");
+    Reader::load(&checkpoint::latest(&path).unwrap().unwrap()).unwrap()
+}
+
+/// A field of one number a particle, by id.
+fn by_id(state: &Reader, field: &str) -> BTreeMap<u64, f64> {
+    let (id, values) = (state.u64("id").unwrap(), state.f64(field).unwrap());
+    assert_eq!(id.len(), values.len());
+    id.iter().copied().zip(values.iter().copied()).collect()
+}
+
+/// A column of the last row of a table.
+fn last(path: &Path, column: &str) -> f64 {
+    let text = fs::read_to_string(path).unwrap();
+    let place = text.lines().next().unwrap().split(',').position(|name| name == column).unwrap();
+    text.lines().last().unwrap().split(',').nth(place).unwrap().parse().unwrap()
+}
+
+fn last_of(folder: &TempDir, ranks: usize, table: &str, column: &str) -> f64 {
+    last(&folder.path().join(ranks.to_string()).join(table), column)
+}
+
+/// Fronts and energies on several ranks within `share` of those on one.
+fn flow_is_the_same(line: &str, several: &[usize], share: f64) {
+    let folder = tempfile::tempdir().unwrap();
+    for ranks in [&[1], several].concat() {
+        if !done(&folder, line, ranks) {
+            return;
+        }
+        for column in ["time_s", "front_m", "kinetic_energy_j", "energy_j", "particles"] {
+            let [alone, together] = [1, ranks].map(|ranks| last_of(&folder, ranks, "history.csv", column));
+            assert!(
+                (together - alone).abs() <= share * alone,
+                "{column} on {ranks} ranks: {together}, {alone}"
+            );
+        }
+    }
+}
+
+/// Largest difference of two fields over the largest value.
+fn difference(one: &BTreeMap<u64, f64>, other: &BTreeMap<u64, f64>) -> f64 {
+    assert!(one.keys().eq(other.keys()), "other particles");
+    let largest = one.values().map(|p| p.abs()).fold(0.0, f64::max);
+    one.values().zip(other.values()).map(|(p, q)| (p - q).abs()).fold(0.0, f64::max) / largest
+}
+
+#[test]
+fn wcsph_flows_alike_on_three_ranks() {
+    // Sums differ in their order alone, and chaos has no time to show it.
+    flow_is_the_same("dam_break_2d --scheme wcsph --spacing 0.04 --until 0.05", &[3], 1e-6);
+}
+
+#[test]
+#[cfg(feature = "petsc")]
+fn isph_flows_alike_on_four_ranks() {
+    flow_is_the_same("dam_break_2d --spacing 0.02 --until 0.1 -ksp_rtol 1e-8", &[4], 5e-3);
+}
+
+#[test]
+#[cfg(feature = "petsc")]
+fn pressures_do_not_depend_on_the_ranks() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = "dam_break_3d_fixed --spacing 0.06 --until 1e-6 -ksp_rtol 1e-12";
+    for ranks in 1..=4 {
+        if !done(&folder, line, ranks) {
+            return;
+        }
+        let [alone, together] = [1, ranks].map(|ranks| state(&folder, ranks));
+        let difference = difference(&by_id(&alone, "pressure"), &by_id(&together, "pressure"));
+        assert!(difference < 1e-9, "{ranks} ranks: {difference:e} of the largest pressure");
+        let [alone, together] = [1, ranks].map(|ranks| last_of(&folder, ranks, "solver.csv", "unknowns"));
+        assert_eq!(alone, together);
+    }
+}
+
+#[test]
+#[cfg(feature = "petsc")]
+fn still_water_stays_still_on_four_ranks() {
+    let folder = tempfile::tempdir().unwrap();
+    if done(&folder, "still_water_2d --until 0.1 --spacing 0.05 -ksp_rtol 1e-10", 4) {
+        // A solver's residual is all that moves it.
+        let share = last_of(&folder, 4, "history.csv", "kinetic_energy_j")
+            / last_of(&folder, 4, "history.csv", "potential_energy_j");
+        assert!(share < 1e-6, "{share:e}");
+    }
+}
+
+#[test]
+fn a_run_goes_on_with_other_ranks() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = "dam_break_2d --scheme wcsph --spacing 0.04";
+    if !done(&folder, &format!("{line} --until 0.02"), 1)
+        || !done(&folder, &format!("{line} --until 0.01"), 2)
+    {
+        return;
+    }
+    let output = program(&folder, &format!("{line} --until 0.02 --quiet --resume 2"), 3).unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let [whole, resumed] = [1, 2].map(|ranks| state(&folder, ranks));
+    assert!(difference(&by_id(&whole, "pressure"), &by_id(&resumed, "pressure")) < 1e-6);
+}
+
+#[test]
+fn wrong_input_is_said_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(output) = program(&folder, "dam_break_2d --spacing -1", 2) else { return };
+    assert_eq!(output.status.code(), Some(2));
+    fs::write(folder.path().join("file"), "").unwrap();
+    let line = "dam_break_2d --scheme wcsph --spacing 0.04 --until 0.001 --out file/run";
+    let output = program(&folder, line, 2).unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert_eq!(said.matches("choose another --out").count(), 1, "{said}");
+}
