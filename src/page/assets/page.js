@@ -42,7 +42,7 @@ function table(part, place) {
     const row = element("tr");
     cells.forEach((cell, column) => {
       const isNumber = typeof cell === "number";
-      const made = element("td", { class: isNumber ? "number" : "word" }, cell === null ? "\u2013" : isNumber ? number(cell) : String(cell));
+      const made = element("td", { class: isNumber ? "number" : String(cell).length > 60 ? "long" : "word" }, cell === null ? "\u2013" : isNumber ? number(cell) : String(cell));
       if (isNumber) made.title = cell;
       if (column === part.bars && most > 0) {
         made.classList.add("bar");
