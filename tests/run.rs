@@ -155,18 +155,27 @@ fn a_resumed_run_is_the_uninterrupted_run() {
     assert!(case.contains("until = 0.3"), "run.toml is the case as run");
 }
 
-#[test]
-fn a_resumed_run_in_a_shaken_tank_is_the_uninterrupted_run() {
+fn resumed_is_uninterrupted(case: &str) {
     for scheme in ["isph_df", "wcsph"] {
         let folder = folder();
         // Schedules that do not depend on the end.
         let schedules = "--set output.samples=0.01 --set output.particles=0.05 --set output.gauges=0.01";
-        let case = format!("sloshing --scheme {scheme} --spacing 0.1 --threads 1 {schedules}");
+        let case = format!("{case} --scheme {scheme} --threads 1 {schedules}");
         done(&folder, &format!("{case} --until 0.3 --out whole"));
         done(&folder, &format!("{case} --until 0.15 --out parts"));
         done(&folder, &format!("{case} --until 0.3 --out parts --resume"));
         assert_same_run(&folder.path().join("whole"), &folder.path().join("parts"));
     }
+}
+
+#[test]
+fn a_resumed_run_in_a_shaken_tank_is_the_uninterrupted_run() {
+    resumed_is_uninterrupted("sloshing --spacing 0.1");
+}
+
+#[test]
+fn a_resumed_run_with_periodic_sides_is_the_uninterrupted_run() {
+    resumed_is_uninterrupted("taylor_green --spacing 0.05");
 }
 
 #[test]

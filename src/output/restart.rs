@@ -49,6 +49,8 @@ pub fn restore<const D: usize>(simulation: &mut Simulation<D>, reader: &Reader) 
     simulation.totals =
         Totals { clipped, collisions, left, through_walls, iterations, most_iterations, fallbacks };
     (simulation.time, simulation.dt, simulation.step) = (time, dt, step);
+    // Ghosts are those of the arrays that go.
+    simulation.particles.drop_ghosts();
     simulation.particles.position = position;
     simulation.particles.velocity = velocity;
     simulation.particles.pressure = pressure;
