@@ -14,16 +14,14 @@ fn main() -> ExitCode {
     let ranks = running.ranks();
     let outcome = std::panic::catch_unwind(|| execute(ranks));
     // Launchers end the others once a rank fails: the first one speaks, and fails, for all.
-    let code = match outcome {
+    match outcome {
         Ok(Err(error)) if ranks.is_first() => {
             error.to_string().lines().for_each(say);
             error.exit_code()
         }
         Ok(_) => ExitCode::SUCCESS,
         Err(_) => ExitCode::FAILURE,
-    };
-    drop(running);
-    code
+    }
 }
 
 fn execute(ranks: Ranks) -> Result<()> {
