@@ -1,6 +1,6 @@
 //! One HTML page of a run or a study, which needs no network and no other file.
 //!
-//! What is shown is gathered here as data ([`Page`]); `assets/page.js` makes the page of it, and uPlot (MIT, its licence
+//! What is shown is gathered here as data (`Page`); `assets/page.js` makes the page of it, and uPlot (MIT, its licence
 //! beside it) draws the plots. All text from files travels as JSON without a `<` and is shown as text, never as HTML.
 
 mod movie;
