@@ -4,29 +4,24 @@
 //! and starts with a fresh PETSc. Runs are kept in `DIR/runs/SCHEME-SPACING`; one that is there already is not repeated,
 //! and one that was interrupted goes on, so that a study started again with the same arguments continues.
 
-use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::process::ExitStatus;
 
 use clap::ValueEnum;
 use serde_json::Value;
 
-use crate::case::{CaseFile, SchemeKind};
+use crate::case::SchemeKind;
+use crate::child::Child;
 use crate::cli::{self, RunArgs, StudyArgs};
 use crate::output::comparison::References;
 use crate::output::picture::curves::{Curve, Mark, loglog_plot};
-use crate::output::{Cell, checkpoint, write_atomic};
-use crate::parallel::Ranks;
+use crate::output::{Cell, write_atomic};
 use crate::{Error, Result, run};
 
 /// Spacings of a study that names none, in spacings of its case: halving twice shows an order, and the finest run takes as
 /// long as the case alone.
 const SPACINGS: [f64; 3] = [4.0, 2.0, 1.0];
-/// What a summary says of a run that reached its end.
-const AT_THE_END: &str = "at the end";
 /// Stands in tables where there is no number.
 const NONE: &str = "none";
 
@@ -38,9 +33,7 @@ const NONE: &str = "none";
 pub fn study(args: &StudyArgs) -> Result<()> {
     let study = Study::plan(args)?;
     study.say(&study.sentence())?;
-    let child = Child::default();
-    // A second handler in one process is a test harness's business; the first one serves.
-    let _ = ctrlc::set_handler(child.handler());
+    let child = Child::with_signals();
     let mut outcomes = Vec::new();
     for (k, planned) in study.runs.iter().enumerate() {
         let what = format!("run {} of {}: {}", k + 1, study.runs.len(), planned.label());
@@ -51,7 +44,7 @@ pub fn study(args: &StudyArgs) -> Result<()> {
             }
             Some(start) => {
                 log::info!("{what}");
-                Outcome::of(planned, Some(child.run(start)?))
+                Outcome::of(planned, Some(child.run(&start.tokens())?))
             }
         });
         study.write_table(&outcomes)?;
@@ -64,6 +57,11 @@ pub fn study(args: &StudyArgs) -> Result<()> {
         return Err(Error::Run("no run of the study reached its end: see the causes above".into()));
     }
     Ok(())
+}
+
+/// The built-in studies.
+pub fn list() -> String {
+    String::new()
 }
 
 /// What is to be done.
@@ -105,7 +103,8 @@ impl<'a> Study<'a> {
         let mut runs: Vec<Planned> = Vec::new();
         for kind in schemes {
             for &spacing in &spacings {
-                let run = RunArgs { scheme: Some(kind), spacing: Some(spacing), ..common.clone() };
+                let mut run = common.clone();
+                (run.method.scheme, run.method.spacing) = (Some(kind), Some(spacing));
                 let planned = Planned::prove(run, (kind, spacing), &folder, args.force)?;
                 if !runs.iter().any(|other| other.folder == planned.folder) {
                     runs.push(planned);
@@ -128,7 +127,7 @@ impl<'a> Study<'a> {
     }
 
     fn say(&self, text: &str) -> Result<()> {
-        if self.args.quiet { Ok(()) } else { cli::print(text) }
+        if self.args.common.quiet { Ok(()) } else { cli::print(text) }
     }
 
     /// The measure that was asked for, by its name or what its name begins with; otherwise the first.
@@ -189,7 +188,7 @@ impl<'a> Study<'a> {
         for (k, outcome) in outcomes.iter().enumerate() {
             let label = outcome.scheme.to_uppercase();
             if curves.last().is_none_or(|curve| curve.label != label) {
-                curves.push(Curve { label, marks: Vec::new() });
+                curves.push(Curve { label, marks: Vec::new(), joined: true });
             }
             let spacing = outcome.spacing;
             let note = match (order(outcomes, k, measure), &outcome.failure) {
@@ -229,41 +228,13 @@ impl Planned {
         References::read(&case, &args.reference_files(&case)?)?;
         let scheme = kind.to_possible_value().map(|kind| kind.get_name().to_owned()).unwrap_or_default();
         let folder = study.join("runs").join(format!("{scheme}-{spacing:?}"));
-        let start = start(args, &case, &folder, force)?;
+        let start = run::left_to_do(args, &case, &folder, force)?;
         Ok(Self { scheme, spacing, folder, start })
     }
 
     fn label(&self) -> String {
         format!("{}, spacing {} m", self.scheme, self.spacing)
     }
-}
-
-/// Arguments of the program that does a run or what is left of it; none if it is done.
-fn start(args: RunArgs, case: &CaseFile, folder: &Path, force: bool) -> Result<Option<RunArgs>> {
-    let threads = args.threads.unwrap_or_else(rayon::current_num_threads);
-    let wanted = run::run_file(&args, case, threads, Ranks::default());
-    let args = RunArgs { out: Some(folder.to_owned()), ..args };
-    let begin_again = Ok(Some(RunArgs { force: true, ..args.clone() }));
-    match fs::read_to_string(folder.join("run.toml")) {
-        Err(_) => Ok(Some(args)),
-        Ok(found) if found != wanted && force => begin_again,
-        Ok(found) if found != wanted => Err(Error::Input(format!(
-            "{} is of a study with other arguments: choose another --out, or --force to run it again",
-            folder.display()
-        ))),
-        Ok(_) if summary(folder)["ended"] == AT_THE_END => Ok(None),
-        // `latest` fails for a folder that cannot be read: the run will say so.
-        Ok(_) => match checkpoint::latest(&folder.join("checkpoint")) {
-            Ok(None) => begin_again,
-            _ => Ok(Some(RunArgs { resume: Some(Some(folder.to_owned())), ..args })),
-        },
-    }
-}
-
-/// summary.json of a run; null where there is none.
-fn summary(folder: &Path) -> Value {
-    let text = fs::read(folder.join("summary.json")).unwrap_or_default();
-    serde_json::from_slice(&text).unwrap_or_default()
 }
 
 /// How a run ended.
@@ -280,10 +251,10 @@ struct Outcome {
 impl Outcome {
     /// Reads what a run left; `ended` is the end of its program, if that ran just now.
     fn of(planned: &Planned, ended: Option<ExitStatus>) -> Self {
-        let summary = summary(&planned.folder);
+        let summary = run::summary(&planned.folder);
         let told = summary["ended"].as_str();
         let failure = match ended {
-            Some(status) if !status.success() && told == Some(AT_THE_END) => Some(status.to_string()),
+            Some(status) if !status.success() && told == Some(run::AT_THE_END) => Some(status.to_string()),
             Some(status) if !status.success() => Some(told.map_or(status.to_string(), str::to_owned)),
             _ => None,
         };
@@ -398,76 +369,6 @@ fn table(outcomes: &[Outcome], measure: &str) -> String {
     }
     text
 }
-
-/// The program that does the present run, and the signal that ends it.
-#[derive(Debug, Default, Clone)]
-struct Child {
-    stop: Arc<AtomicBool>,
-    /// Number of the process; 0 between runs.
-    process: Arc<AtomicU32>,
-}
-
-impl Child {
-    /// What a signal to this program does: it ends the run, which saves its state.
-    ///
-    /// Ctrl-C on a terminal reaches the run by itself; a second request to stop does no harm.
-    fn handler(&self) -> impl FnMut() + Send + 'static {
-        let child = self.clone();
-        move || {
-            child.stop.store(true, Ordering::SeqCst);
-            child.pass_on();
-        }
-    }
-
-    /// Hands a request to stop to the process, if there are both.
-    fn pass_on(&self) {
-        let process = self.process.load(Ordering::SeqCst);
-        if process != 0 && self.stop.load(Ordering::SeqCst) {
-            interrupt(process);
-        }
-    }
-
-    /// Runs this program with other arguments and waits for its end.
-    fn run(&self, args: &RunArgs) -> Result<ExitStatus> {
-        let interrupted =
-            || Error::Interrupted("interrupted: the same command goes on with this study".into());
-        if self.stop.load(Ordering::SeqCst) {
-            return Err(interrupted());
-        }
-        let failed = |error| Error::io("the program of a run", error);
-        // Its end table would tear ours apart; its progress and its errors are for the user.
-        let mut process = std::env::current_exe()
-            .and_then(|program| {
-                Command::new(program).args(args.tokens()).stdin(Stdio::null()).stdout(Stdio::null()).spawn()
-            })
-            .map_err(failed)?;
-        self.process.store(process.id(), Ordering::SeqCst);
-        self.pass_on();
-        let ended = process.wait().map_err(failed);
-        self.process.store(0, Ordering::SeqCst);
-        let ended = ended?;
-        match ended.code() {
-            Some(130) => Err(interrupted()),
-            // It has said what is wrong: an empty message prints nothing.
-            Some(2) => Err(Error::Input(String::new())),
-            _ if self.stop.load(Ordering::SeqCst) && !ended.success() => Err(interrupted()),
-            _ => Ok(ended),
-        }
-    }
-}
-
-#[cfg(unix)]
-fn interrupt(process: u32) {
-    use nix::sys::signal::{Signal, kill};
-    if let Ok(process) = process.try_into() {
-        // Fails only if the process has ended just now.
-        let _ = kill(nix::unistd::Pid::from_raw(process), Signal::SIGINT);
-    }
-}
-
-/// Elsewhere a console tells all its programs.
-#[cfg(not(unix))]
-fn interrupt(_: u32) {}
 
 #[cfg(test)]
 mod tests {

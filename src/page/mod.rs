@@ -162,17 +162,8 @@ fn html(page: &Page) -> String {
 
 /// Reads a JSON file of a run.
 fn read_json(path: &Path) -> Result<Value> {
-    let text = fs::read(path).map_err(|error| unreadable(path, &error))?;
-    serde_json::from_slice(&text).map_err(|error| unreadable(path, &error))
-}
-
-/// A file that is damaged or cannot be read.
-fn unreadable(path: &Path, why: &dyn std::fmt::Display) -> Error {
-    let why = why.to_string().replace('\n', " ");
-    Error::Input(format!(
-        "{}: cannot be read ({why}): restore the file or run the case again",
-        path.display()
-    ))
+    let text = fs::read(path).map_err(|error| Error::unreadable(path, &error))?;
+    serde_json::from_slice(&text).map_err(|error| Error::unreadable(path, &error))
 }
 
 /// The picture files named; of many, as many as a page bears.
@@ -183,9 +174,9 @@ fn pictures(heading: &str, files: &[std::path::PathBuf]) -> Result<Option<Sectio
     let stride = files.len().div_ceil(PICTURES);
     let mut shown = Vec::new();
     for path in files.iter().rev().step_by(stride) {
-        let bytes = fs::read(path).map_err(|error| unreadable(path, &error))?;
+        let bytes = fs::read(path).map_err(|error| Error::unreadable(path, &error))?;
         if !bytes.starts_with(b"\x89PNG") {
-            return Err(unreadable(path, &"no PNG"));
+            return Err(Error::unreadable(path, &"no PNG"));
         }
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         shown.push(Picture { name, png: BASE64.encode(bytes) });
