@@ -147,7 +147,7 @@ fn solve(
 #[cfg(feature = "petsc")]
 const PASSES: usize = 3;
 #[cfg(feature = "petsc")]
-const LONG: f64 = 1.0;
+const LONG: f64 = 2.0;
 
 /// Measures a pressure, or keeps it as the one to measure others by.
 #[cfg(feature = "petsc")]

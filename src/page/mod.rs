@@ -1,8 +1,9 @@
-//! One HTML page of a run or a study, which needs no network and no other file.
+//! One HTML page of a run, a study or a solver laboratory, which needs no network and no other file.
 //!
 //! What is shown is gathered here as data (`Page`); `assets/page.js` makes the page of it, and uPlot (MIT, its licence
 //! beside it) draws the plots. All text from files travels as JSON without a `<` and is shown as text, never as HTML.
 
+mod lab;
 mod movie;
 mod plots;
 mod recorded;
@@ -90,7 +91,7 @@ struct Picture {
     png: String,
 }
 
-/// Writes the page of the folder of a run or a study into it.
+/// Writes the page of the folder of a run, a study or a laboratory into it.
 ///
 /// # Errors
 /// [`Error::Input`] for a folder of neither and for files that are damaged, before anything is written.
@@ -99,15 +100,16 @@ pub fn write(args: &ReportArgs) -> Result<()> {
     let page = match () {
         () if !folder.is_dir() => {
             return Err(Error::Input(format!(
-                "there is no folder {}: name that of a run or a study, like out/dam_break_2d",
+                "there is no folder {}: name that of a run, a study or a solver laboratory, like out/dam_break_2d",
                 folder.display()
             )));
         }
         () if folder.join("study.csv").is_file() => study::page(folder)?,
+        () if folder.join("solvers.csv").is_file() => lab::page(folder)?,
         () if folder.join("summary.json").is_file() => recorded::page(folder)?,
         () => {
             return Err(Error::Input(format!(
-                "{} has neither summary.json nor study.csv: name the folder of a run that has ended, or of a study",
+                "{} has none of summary.json, study.csv and solvers.csv: name the folder of a run that has ended, of a study or of a solver laboratory",
                 folder.display()
             )));
         }
