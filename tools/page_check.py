@@ -46,7 +46,7 @@ PLAY = """new Promise((done) => { const time = document.querySelector('.controls
 SCRUB = """(() => { const s = document.querySelector('input[type=range]'), time = document.querySelector('.controls output');
   return [s.max, '0'].map((v) => { s.value = v; s.dispatchEvent(new Event('input')); return time.textContent; }); })()"""
 # Clicks a heading of each table twice; answers which tables are in neither order.
-SORT = """(() => [...document.querySelectorAll('table')].filter((t) => t.tBodies[0].rows.length > 1).map((table, k) => {
+SORT = """(() => [...document.querySelectorAll('.scroll table')].filter((t) => t.tBodies[0].rows.length > 1).map((table, k) => {
   const column = [...table.tHead.rows[0].cells].findIndex((c, j) => new Set([...table.tBodies[0].rows].map((r) => r.cells[j].textContent)).size > 1);
   if (column < 0) return [k, true];
   const head = table.tHead.rows[0].cells[column], cells = () => [...table.tBodies[0].rows].map((r) => r.cells[column].textContent);
