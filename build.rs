@@ -37,7 +37,7 @@ mod petsc {
         "KSP(InitializePackage|Create|Destroy|SetOptionsPrefix|SetType|GetType|GetPC|SetOperators|SetFromOptions|SetUp|Solve)",
         "KSP(SetTolerances|GetTolerances|SetPCSide|SetNormType|SetInitialGuessNonzero|GMRESSetRestart)",
         "KSP(GetConvergedReason|GetConvergedReasonString|GetIterationNumber|GetTotalIterations)",
-        "PC(InitializePackage|SetType|GetType|KSPSetKSP)",
+        "PC(InitializePackage|SetType|GetType|KSPSetKSP|GetOperators|FactorGetMatrix|MGGetGridComplexity)",
         "tmpfile|fileno|fflush|fclose|dup|dup2",
     ];
     const TYPES: &[&str] = &["Petsc(Int|Scalar|Real|Bool|ErrorCode|ErrorType)", "FILE"];

@@ -16,6 +16,7 @@ use crate::{Error, Result};
 const USAGE: &str = "sphpetsc [CASE] [--own-options] [-petsc_options]
        sphpetsc cases [show NAME]
        sphpetsc check [CASE] [--own-options]
+       sphpetsc solvers [CASE] [--own-options] [-petsc_options]
        sphpetsc study [CASE] [--own-options] [-petsc_options]
        sphpetsc report DIR";
 
@@ -33,7 +34,11 @@ pub enum Command {
     Run(Box<RunArgs>),
     /// Validate a case and run nothing.
     Check(Box<RunArgs>),
-    /// Run a case with several schemes and spacings.
+    /// Try many solvers on the pressure systems of a case.
+    Solvers(Box<SolversArgs>),
+    /// Try one solver, for [`Command::Solvers`].
+    Trial(TrialArgs),
+    /// Run a case with several schemes, spacings, solvers, ...
     Study(Box<StudyArgs>),
     /// Write the page of a run or a study.
     Report(ReportArgs),
@@ -64,9 +69,14 @@ enum Task {
     },
     /// Validate a case and print what a run would take; run nothing
     Check(Box<RunArgs>),
-    /// Run a case with several schemes and spacings: errors over run times, as a table and a picture
+    /// Solve pressure systems of a case with many sets of PETSc options: a table, a picture, and the set to choose
+    Solvers(Box<SolversArgs>),
+    /// One option set of `solvers`
+    #[command(hide = true)]
+    Trial(TrialArgs),
+    /// Run a case with several schemes, spacings, time steps, solvers: errors over run times, as a table and a picture
     Study(Box<StudyArgs>),
-    /// Write one self-contained HTML page of a run or a study, DIR/report.html
+    /// Write one self-contained HTML page of a run, a study or a solver laboratory, DIR/report.html
     Report(ReportArgs),
 }
 
@@ -79,21 +89,15 @@ enum Show {
     },
 }
 
-/// Everything that shapes a run, as typed.
+/// Which case, and what all that is done with a case has in common, as typed.
 #[derive(Debug, Clone, Default, PartialEq, Args)]
-pub struct RunArgs {
+pub struct CaseArgs {
     /// Built-in case or case file (.toml); comes first [default: dam_break_2d]
     pub case: Option<String>,
 
-    /// Numerical method
-    #[arg(long, value_enum, help_heading = "Case")]
-    pub scheme: Option<SchemeKind>,
     /// Settings that the case describes under [variant.NAME]; other options come after them
     #[arg(long, value_name = "NAME", help_heading = "Case")]
     pub variant: Option<String>,
-    /// Particle spacing in m
-    #[arg(long, value_name = "M", value_parser = metres, allow_negative_numbers = true, help_heading = "Case")]
-    pub spacing: Option<f64>,
     /// Flow time to reach in s
     #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true, help_heading = "Case")]
     pub until: Option<f64>,
@@ -103,31 +107,10 @@ pub struct RunArgs {
     /// Any key of the case file, e.g. fluid.block.0.max=[0.2,0.4]; repeatable
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = assignment, help_heading = "Case")]
     pub set: Vec<(String, String)>,
-
-    /// Output folder [default: out/NAME, then out/NAME-2, ...]
-    #[arg(long, short, value_name = "DIR", help_heading = "Output")]
-    pub out: Option<PathBuf>,
-    /// Empty the folder of --out first
-    #[arg(long, requires = "out", conflicts_with = "resume", help_heading = "Output")]
-    pub force: bool,
-    /// Go on from the newest checkpoint of DIR [default: of the case's newest run]
-    #[arg(long, value_name = "DIR", help_heading = "Output")]
-    pub resume: Option<Option<PathBuf>>,
-    /// Extra instants of particle files in s
-    #[arg(long, value_name = "S,S", value_delimiter = ',', help_heading = "Output")]
-    #[arg(value_parser = seconds, allow_negative_numbers = true)]
-    pub snapshots: Vec<f64>,
     /// Measured data that errors are measured against, for the case's reference NAME or for all that share a file; repeatable
-    #[arg(long = "reference", value_name = "[NAME=]FILE", value_parser = reference, help_heading = "Output")]
+    #[arg(long = "reference", value_name = "[NAME=]FILE", value_parser = reference, help_heading = "Case")]
     pub references: Vec<ReferenceFile>,
-    /// Instants in s whose pressure systems are saved in PETSc's binary format
-    #[arg(long, value_name = "S,S", value_delimiter = ',', help_heading = "Output")]
-    #[arg(value_parser = seconds, allow_negative_numbers = true)]
-    pub save_systems: Vec<f64>,
 
-    /// Ranks: starts itself under mpiexec
-    #[arg(long, value_name = "N", value_parser = threads, allow_negative_numbers = true, help_heading = "Program")]
-    pub ranks: Option<usize>,
     /// Threads of each rank [default: all cores, over the ranks of a machine]
     #[arg(long, value_name = "N", value_parser = threads, allow_negative_numbers = true, help_heading = "Program")]
     pub threads: Option<usize>,
@@ -143,35 +126,84 @@ pub struct RunArgs {
     pub petsc: Vec<String>,
 }
 
+/// Method and resolution of one run, as typed.
+#[derive(Debug, Clone, Default, PartialEq, Args)]
+pub struct MethodArgs {
+    /// Numerical method
+    #[arg(long, value_enum, help_heading = "Case")]
+    pub scheme: Option<SchemeKind>,
+    /// Particle spacing in m
+    #[arg(long, value_name = "M", value_parser = metres, allow_negative_numbers = true, help_heading = "Case")]
+    pub spacing: Option<f64>,
+}
+
+/// Everything that shapes a run, as typed.
+#[derive(Debug, Clone, Default, PartialEq, Args)]
+pub struct RunArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub common: CaseArgs,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub method: MethodArgs,
+
+    /// Output folder [default: out/NAME, then out/NAME-2, ...]
+    #[arg(long, short, value_name = "DIR", help_heading = "Output")]
+    pub out: Option<PathBuf>,
+    /// Empty the folder of --out first
+    #[arg(long, requires = "out", conflicts_with = "resume", help_heading = "Output")]
+    pub force: bool,
+    /// Go on from the newest checkpoint of DIR [default: of the case's newest run]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    pub resume: Option<Option<PathBuf>>,
+    /// Extra instants of particle files in s
+    #[arg(long, value_name = "S,S", value_delimiter = ',', help_heading = "Output")]
+    #[arg(value_parser = seconds, allow_negative_numbers = true)]
+    pub snapshots: Vec<f64>,
+    /// Instants in s whose pressure systems are saved in PETSc's binary format
+    #[arg(long, value_name = "S,S", value_delimiter = ',', help_heading = "Output")]
+    #[arg(value_parser = seconds, allow_negative_numbers = true)]
+    pub save_systems: Vec<f64>,
+
+    /// Ranks: starts itself under mpiexec
+    #[arg(long, value_name = "N", value_parser = threads, allow_negative_numbers = true, help_heading = "Program")]
+    pub ranks: Option<usize>,
+}
+
 /// What a study is made of, as typed.
 #[derive(Debug, Clone, Default, PartialEq, Args)]
 pub struct StudyArgs {
-    /// Built-in case or case file (.toml); comes first [default: dam_break_2d]
-    pub case: Option<String>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub common: CaseArgs,
 
     /// Numerical methods [default: the case's own]
     #[arg(long, value_name = "NAME,NAME", value_enum, value_delimiter = ',', help_heading = "Study")]
     pub schemes: Vec<SchemeKind>,
-    /// Particle spacings in m [default: 4, 2 and 1 times the case's own]
+    /// Particle spacings in m [default: 4, 2 and 1 times the case's own, or its own where something else is varied]
     #[arg(long, value_name = "M,M", value_delimiter = ',', help_heading = "Study")]
     #[arg(value_parser = metres, allow_negative_numbers = true)]
     pub spacings: Vec<f64>,
+    /// Fixed time steps in s
+    #[arg(long, value_name = "S,S", value_delimiter = ',', help_heading = "Study")]
+    #[arg(value_parser = positive, allow_negative_numbers = true)]
+    pub steps: Vec<f64>,
+    /// Tolerances of the pressure equation (-ksp_rtol)
+    #[arg(long, value_name = "X,X", value_delimiter = ',', help_heading = "Study")]
+    #[arg(value_parser = positive, allow_negative_numbers = true)]
+    pub tolerances: Vec<f64>,
+    /// A set of PETSc options in quotes, e.g. "-ksp_type cg -pc_type icc"; repeatable
+    #[arg(long = "solver", value_name = "OPTIONS", allow_hyphen_values = true, help_heading = "Study")]
+    pub solvers: Vec<String>,
+    /// Values of any key of the case file, e.g. scheme.shifting=0,2; repeatable
+    #[arg(long, value_name = "KEY=V,V", value_parser = assignment, help_heading = "Study")]
+    pub vary: Vec<(String, String)>,
     /// Error measure on the terminal and in the picture [default: the first that the runs have]
     #[arg(long, value_name = "NAME", help_heading = "Study")]
     pub measure: Option<String>,
-
-    /// Settings that the case describes under [variant.NAME]; other options come after them
-    #[arg(long, value_name = "NAME", help_heading = "Case")]
-    pub variant: Option<String>,
-    /// Flow time to reach in s
-    #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true, help_heading = "Case")]
-    pub until: Option<f64>,
-    /// Seed of all that is random
-    #[arg(long, value_name = "N", value_parser = seed, allow_negative_numbers = true, help_heading = "Case")]
-    pub seed: Option<u64>,
-    /// Any key of the case file, e.g. fluid.density=1025; repeatable
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = assignment, help_heading = "Case")]
-    pub set: Vec<(String, String)>,
+    /// List the built-in studies, which go in the place of CASE
+    #[arg(long, help_heading = "Study")]
+    pub list: bool,
 
     /// Folder of the study; started again, it goes on there [default: out/NAME-study]
     #[arg(long, short, value_name = "DIR", help_heading = "Output")]
@@ -179,19 +211,63 @@ pub struct StudyArgs {
     /// Run again what other arguments left in that folder
     #[arg(long, help_heading = "Output")]
     pub force: bool,
-    /// Measured data that errors are measured against, for the case's reference NAME; repeatable
-    #[arg(long = "reference", value_name = "[NAME=]FILE", value_parser = reference, help_heading = "Output")]
-    pub references: Vec<ReferenceFile>,
+}
 
-    /// Threads of each run [default: all cores]
-    #[arg(long, value_name = "N", value_parser = threads, allow_negative_numbers = true, help_heading = "Program")]
-    pub threads: Option<usize>,
-    /// Print errors only
-    #[arg(short, long, conflicts_with = "verbose", help_heading = "Program")]
-    pub quiet: bool,
-    /// Print more
-    #[arg(short, long, help_heading = "Program")]
-    pub verbose: bool,
+/// What the solver laboratory is to try, as typed.
+#[derive(Debug, Clone, Default, PartialEq, Args)]
+pub struct SolversArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub common: CaseArgs,
+    /// Saved systems in the place of CASE: files (.petsc) or folders of them
+    pub systems: Vec<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub method: MethodArgs,
+
+    /// Instants in s whose pressure systems are solved [default: calm, impact and splash, by the depth of the liquid]
+    #[arg(long, value_name = "S,S", value_delimiter = ',', help_heading = "Laboratory")]
+    #[arg(value_parser = seconds, allow_negative_numbers = true)]
+    pub at: Vec<f64>,
+    /// A set of PETSc options in quotes instead of the catalogue, e.g. "-ksp_type cg -pc_type icc"; repeatable
+    #[arg(long = "try", value_name = "OPTIONS", allow_hyphen_values = true, help_heading = "Laboratory")]
+    pub tries: Vec<String>,
+    /// File of option sets instead of the catalogue, one a line; # begins a comment
+    #[arg(long, value_name = "FILE", help_heading = "Laboratory")]
+    pub sets: Option<PathBuf>,
+    /// Time in s after which an option set is stopped
+    #[arg(long, value_name = "S", default_value = "60", value_parser = positive, help_heading = "Laboratory")]
+    #[arg(allow_negative_numbers = true)]
+    pub limit: f64,
+    /// Print the built-in catalogue of option sets
+    #[arg(long, help_heading = "Laboratory")]
+    pub list: bool,
+
+    /// Folder of the laboratory [default: out/NAME-solvers]
+    #[arg(long, short, value_name = "DIR", help_heading = "Output")]
+    pub out: Option<PathBuf>,
+    /// Run the case again where other arguments left one in that folder
+    #[arg(long, help_heading = "Output")]
+    pub force: bool,
+}
+
+/// One option set of the laboratory, tried in a program of its own.
+#[derive(Debug, Clone, Default, PartialEq, Args)]
+pub struct TrialArgs {
+    /// Files of pressure systems
+    pub systems: Vec<PathBuf>,
+    /// File that takes a row a system
+    #[arg(long)]
+    pub rows: PathBuf,
+    /// Folder of the pressures that errors are measured against
+    #[arg(long)]
+    pub truth: PathBuf,
+    /// These pressures go there
+    #[arg(long)]
+    pub is_truth: bool,
+    /// Solve the equation without the correction of Eq. (3)
+    #[arg(long)]
+    pub uncorrected: bool,
 
     /// Tokens of PETSc's options database.
     #[arg(skip)]
@@ -201,7 +277,7 @@ pub struct StudyArgs {
 /// Whose page is wanted.
 #[derive(Debug, Clone, Default, PartialEq, Args)]
 pub struct ReportArgs {
-    /// Folder of a run or a study
+    /// Folder of a run, a study or a solver laboratory
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
     /// Print errors only
@@ -250,9 +326,14 @@ pub fn parse(args: impl IntoIterator<Item = impl Into<OsString>>) -> Result<Comm
     }
     match &mut cli.task {
         Some(Task::Study(study)) => {
-            study.petsc = petsc;
+            study.common.petsc = petsc;
             study.run().prove()?;
         }
+        Some(Task::Solvers(solvers)) => {
+            solvers.common.petsc = petsc;
+            solvers.run().prove()?;
+        }
+        Some(Task::Trial(trial)) => trial.petsc = petsc,
         Some(Task::Check(run)) => run.prove_with(petsc)?,
         _ => cli.run.prove_with(petsc)?,
     }
@@ -260,6 +341,8 @@ pub fn parse(args: impl IntoIterator<Item = impl Into<OsString>>) -> Result<Comm
         None => Command::Run(Box::new(cli.run)),
         Some(Task::Check(run)) => Command::Check(run),
         Some(Task::Study(study)) => Command::Study(study),
+        Some(Task::Solvers(solvers)) => Command::Solvers(solvers),
+        Some(Task::Trial(trial)) => Command::Trial(trial),
         Some(Task::Report(report)) => Command::Report(report),
         Some(Task::Cases { show: None }) => Command::Cases,
         Some(Task::Cases { show: Some(Show::Show { name }) }) => Command::ShowCase(name),
@@ -299,7 +382,7 @@ impl RunArgs {
     /// [`Error::Input`] with one line for each problem.
     pub fn load_case(&self) -> Result<CaseFile> {
         let (text, origin) = self.case_source()?;
-        let case = read::read_variant(&text, &origin, self.variant.as_deref(), &self.overrides())?;
+        let case = read::read_variant(&text, &origin, self.common.variant.as_deref(), &self.overrides())?;
         self.reference_files(&case)?;
         match self.save_systems.iter().find(|&&time| time > case.time.until) {
             None => Ok(case),
@@ -342,7 +425,7 @@ impl RunArgs {
             || all.first().is_some_and(|(_, file)| file.is_some())
                 && all.iter().all(|(_, file)| *file == all[0].1);
         let mut resolved = Vec::new();
-        for ReferenceFile { name, file } in &self.references {
+        for ReferenceFile { name, file } in &self.common.references {
             let serves = |known: &&str| match name {
                 Some(name) => *known == name,
                 None => share_a_file,
@@ -363,13 +446,8 @@ impl RunArgs {
         Ok(resolved)
     }
 
-    /// How much the log prints.
-    pub fn log_level(&self) -> log::LevelFilter {
-        log_level(self.quiet, self.verbose)
-    }
-
     fn prove_with(&mut self, petsc: Vec<String>) -> Result<()> {
-        self.petsc = petsc;
+        self.common.petsc = petsc;
         self.prove()
     }
 
@@ -383,8 +461,8 @@ impl RunArgs {
         }
         // `-ksp_monitor my.toml` would run the default case and let PETSc write over my.toml.
         let is_case = |token: &String| builtin::find(token).is_some() || token.ends_with(".toml");
-        match self.petsc.windows(2).find(|pair| is_case(&pair[1])) {
-            Some([option, case]) if self.case.is_none() => Err(Error::Input(format!(
+        match self.common.petsc.windows(2).find(|pair| is_case(&pair[1])) {
+            Some([option, case]) if self.common.case.is_none() => Err(Error::Input(format!(
                 "{case} stands where the value of {option} belongs: put the case first, sphpetsc {case} {option} ..."
             ))),
             _ => Ok(()),
@@ -393,7 +471,7 @@ impl RunArgs {
 
     /// Text and name of the case; a run that is resumed by its folder brings its own.
     fn case_source(&self) -> Result<(String, String)> {
-        let name = match (&self.case, &self.resume) {
+        let name = match (&self.common.case, &self.resume) {
             (Some(name), _) => name.clone(),
             (None, Some(Some(folder))) => folder.join("run.toml").to_string_lossy().into_owned(),
             (None, _) => builtin::DEFAULT.to_owned(),
@@ -414,52 +492,72 @@ impl RunArgs {
 
     /// Options that stand for keys of the case file, then `--set` in the order typed.
     fn overrides(&self) -> Vec<(String, String)> {
-        let scheme = self.scheme.and_then(|kind| kind.to_possible_value());
+        let scheme = self.method.scheme.and_then(|kind| kind.to_possible_value());
         let snapshots = (!self.snapshots.is_empty()).then_some(&self.snapshots);
         let named = [
             ("scheme.kind", scheme.map(|kind| kind.get_name().to_owned())),
-            ("spacing", self.spacing.map(|value| format!("{value:?}"))),
-            ("time.until", self.until.map(|value| format!("{value:?}"))),
-            ("seed", self.seed.map(|value| value.to_string())),
+            ("spacing", self.method.spacing.map(|value| format!("{value:?}"))),
+            ("time.until", self.common.until.map(|value| format!("{value:?}"))),
+            ("seed", self.common.seed.map(|value| value.to_string())),
             ("output.snapshots", snapshots.map(|values| format!("{values:?}"))),
         ];
         let named = named.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?)));
-        named.chain(self.set.iter().cloned()).collect()
+        named.chain(self.common.set.iter().cloned()).collect()
     }
 }
 
 impl StudyArgs {
     /// What all runs of the study have in common.
     pub fn run(&self) -> RunArgs {
-        RunArgs {
-            case: self.case.clone(),
-            variant: self.variant.clone(),
-            until: self.until,
-            seed: self.seed,
-            set: self.set.clone(),
-            references: self.references.clone(),
-            threads: self.threads,
-            quiet: self.quiet,
-            verbose: self.verbose,
-            petsc: self.petsc.clone(),
-            ..RunArgs::default()
-        }
+        RunArgs { common: self.common.clone(), ..RunArgs::default() }
     }
+}
 
+impl SolversArgs {
+    /// The run whose systems are solved.
+    pub fn run(&self) -> RunArgs {
+        let (common, method) = (self.common.clone(), self.method.clone());
+        RunArgs { common, method, ..RunArgs::default() }
+    }
+}
+
+impl CaseArgs {
     /// How much the log prints.
     pub fn log_level(&self) -> log::LevelFilter {
-        log_level(self.quiet, self.verbose)
+        match (self.quiet, self.verbose) {
+            (true, _) => log::LevelFilter::Error,
+            (_, true) => log::LevelFilter::Debug,
+            _ => log::LevelFilter::Info,
+        }
+    }
+}
+
+impl TrialArgs {
+    /// The arguments of a program that does this trial: what [`parse`] turns back into `self`.
+    pub fn tokens(&self) -> Vec<OsString> {
+        let mut tokens = vec!["trial".into()];
+        tokens.extend(self.systems.iter().map(Into::into));
+        tokens.extend([
+            "--rows".into(),
+            self.rows.clone().into(),
+            "--truth".into(),
+            self.truth.clone().into(),
+        ]);
+        let flags = [("--is-truth", self.is_truth), ("--uncorrected", self.uncorrected)];
+        tokens.extend(flags.iter().filter(|(_, on)| *on).map(|(name, _)| OsString::from(name)));
+        tokens.extend(self.petsc.iter().map(Into::into));
+        tokens
     }
 }
 
 impl RunArgs {
     /// The arguments of a program that does this run: what [`parse`] turns back into `self`.
     pub fn tokens(&self) -> Vec<OsString> {
-        let mut tokens: Vec<OsString> = self.case.iter().map(Into::into).collect();
+        let mut tokens: Vec<OsString> = self.common.case.iter().map(Into::into).collect();
         let mut add = |name: &str, value: &dyn AsRef<OsStr>| {
             tokens.extend([OsString::from(name), value.as_ref().to_owned()]);
         };
-        if let Some(name) = &self.variant {
+        if let Some(name) = &self.common.variant {
             add("--variant", name);
         }
         for (key, value) in self.overrides() {
@@ -468,12 +566,12 @@ impl RunArgs {
         if let Some(folder) = &self.out {
             add("--out", folder);
         }
-        for ReferenceFile { name, file } in &self.references {
+        for ReferenceFile { name, file } in &self.common.references {
             let mut typed = name.as_ref().map(|name| OsString::from(format!("{name}="))).unwrap_or_default();
             typed.push(file);
             add("--reference", &typed);
         }
-        if let Some(threads) = self.threads {
+        if let Some(threads) = self.common.threads {
             add("--threads", &threads.to_string());
         }
         for time in &self.save_systems {
@@ -484,20 +582,16 @@ impl RunArgs {
             Some(None) => tokens.push("--resume".into()),
             None => {}
         }
-        let flags = [("--force", self.force), ("--quiet", self.quiet), ("--verbose", self.verbose)];
+        let flags =
+            [("--force", self.force), ("--quiet", self.common.quiet), ("--verbose", self.common.verbose)];
         tokens.extend(flags.iter().filter(|(_, on)| *on).map(|(name, _)| OsString::from(name)));
-        tokens.extend(self.petsc.iter().map(Into::into));
+        tokens.extend(self.common.petsc.iter().map(Into::into));
         tokens
     }
 }
 
-fn log_level(quiet: bool, verbose: bool) -> log::LevelFilter {
-    match (quiet, verbose) {
-        (true, _) => log::LevelFilter::Error,
-        (_, true) => log::LevelFilter::Debug,
-        _ => log::LevelFilter::Info,
-    }
-}
+/// Options of ours whose values are sets of PETSc's options.
+const TAKES_OPTIONS: [&str; 2] = ["--try", "--solver"];
 
 /// Separates our tokens from PETSc's and the values that follow those.
 fn split(args: impl Iterator<Item = OsString>) -> (Vec<OsString>, Vec<String>) {
@@ -507,6 +601,10 @@ fn split(args: impl Iterator<Item = OsString>) -> (Vec<OsString>, Vec<String>) {
         if token == "--" {
             own.push(token);
             own.extend(args.by_ref());
+        } else if TAKES_OPTIONS.iter().any(|name| token == *name) {
+            // What follows is a set of options, not an option.
+            own.push(token);
+            own.extend(args.next());
         } else if is_petsc_option(&token) {
             petsc.push(token.to_string_lossy().into_owned());
             petsc.extend(args.next_if(is_value).map(|value| value.to_string_lossy().into_owned()));
@@ -551,6 +649,10 @@ fn unknown_case(name: &str) -> Error {
 fn number(text: &str, fits: impl Fn(f64) -> bool, wanted: &str) -> std::result::Result<f64, String> {
     let number = text.parse().ok().filter(|value: &f64| value.is_finite() && fits(*value));
     number.ok_or_else(|| format!("give a finite number {wanted}"))
+}
+
+fn positive(text: &str) -> std::result::Result<f64, String> {
+    number(text, |value| value > 0.0, "> 0")
 }
 
 fn metres(text: &str) -> std::result::Result<f64, String> {
@@ -620,7 +722,10 @@ mod tests {
     fn a_reference_is_found_by_name_or_as_the_only_one() {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml");
         let resolve = |typed: &str| {
-            let run = RunArgs { references: vec![reference(typed).unwrap()], ..RunArgs::default() };
+            let run = RunArgs {
+                common: CaseArgs { references: vec![reference(typed).unwrap()], ..CaseArgs::default() },
+                ..RunArgs::default()
+            };
             run.load_case().map(|case| run.reference_files(&case).unwrap()[0].0.name.clone())
         };
         assert_eq!(resolve(file).unwrap(), "martin_moyce");

@@ -37,6 +37,15 @@ impl Error {
         Self::Io { path: path.as_ref().display().to_string(), source }
     }
 
+    /// A file of a case or a run that is damaged or cannot be read.
+    pub fn unreadable(path: impl AsRef<std::path::Path>, why: &dyn std::fmt::Display) -> Self {
+        let why = why.to_string().replace('\n', " ");
+        Self::Input(format!(
+            "{}: cannot be read ({why}): restore the file or run the case again",
+            path.as_ref().display()
+        ))
+    }
+
     /// The program's exit code for this error.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {

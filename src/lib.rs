@@ -29,7 +29,7 @@
 //!
 //! From the bottom up; a module uses only those above it in this list.
 //!
-//! - [`error`]: what goes wrong, and the exit code of each kind
+//! - [`error`]: what goes wrong, and the exit code of each kind; [`memory`]: what a process takes
 //! - [`kernel`]: smoothing kernels and what they sum to on a lattice
 //! - `petsc`: the only unsafe code, a thin fence around PETSc (feature `petsc`)
 //! - [`particles`], [`geometry`], [`parallel`], [`halo`], [`neighbors`]: arrays, scenes on a lattice,
@@ -43,19 +43,23 @@
 //! - [`output`]: particle files, tables, gauges, checkpoints, pictures; [`report`]: the end of a run
 //! - [`exact`]: flows with a known solution
 //! - [`case`]: case files; [`patch_test`]: the operators on known fields
-//! - [`run`], [`cli`]: a run from the command line to its folder; [`study`]: many runs, their errors over their run times
-//! - [`page`]: one HTML page of a run or a study
+//! - [`run`], [`cli`]: a run from the command line to its folder; [`child`]: this program started again
+//! - [`study`]: many runs, their errors over their run times; [`lab`]: many solvers on the same pressure systems
+//! - [`page`]: one HTML page of a run, a study or a laboratory
 
 #![deny(unsafe_code)]
 
 pub mod boundary;
 pub mod case;
+pub mod child;
 pub mod cli;
 pub mod error;
 pub mod exact;
 pub mod geometry;
 pub mod halo;
 pub mod kernel;
+pub mod lab;
+pub mod memory;
 pub mod motion;
 pub mod neighbors;
 pub mod operators;

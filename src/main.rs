@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use log::{Level, Log, Metadata, Record};
 use sphpetsc::cli::{self, Command};
 use sphpetsc::parallel::{self, Ranks};
-use sphpetsc::{Error, Result, page, run, study};
+use sphpetsc::{Error, Result, lab, page, run, study};
 
 fn main() -> ExitCode {
     std::panic::set_hook(Box::new(report_panic));
@@ -29,26 +29,33 @@ fn execute(ranks: Ranks) -> Result<()> {
         Command::Text(_) | Command::Cases | Command::ShowCase(_) | Command::Check(_) if !ranks.is_first() => {
             Ok(())
         }
-        Command::Check(_) | Command::Study(_) if ranks.are_several() => {
+        Command::Check(_) | Command::Study(_) | Command::Solvers(_) if ranks.are_several() => {
             Err(Error::Input("only a run takes several ranks: leave mpiexec out".into()))
         }
         Command::Text(text) => cli::print(&text),
         Command::Cases => cli::print(&cli::case_list()),
         Command::ShowCase(name) => cli::print(cli::case_text(&name)?),
         Command::Check(args) => {
-            start_log(args.log_level());
+            start_log(args.common.log_level());
             run::check(&args, &args.load_case()?)
         }
         Command::Run(args) => {
             if let Some(count) = args.ranks {
                 parallel::launch(count)?;
             }
-            start_log(if ranks.is_first() { args.log_level() } else { log::LevelFilter::Off });
+            start_log(if ranks.is_first() { args.common.log_level() } else { log::LevelFilter::Off });
             run::run(&args, &args.load_case()?, ranks)
         }
         Command::Report(args) => page::write(&args),
+        Command::Solvers(args) if args.list => cli::print(lab::CATALOGUE),
+        Command::Solvers(args) => {
+            start_log(args.common.log_level());
+            lab::solvers(&args)
+        }
+        Command::Trial(args) => lab::trial::run(&args),
+        Command::Study(args) if args.list => cli::print(&study::list()),
         Command::Study(args) => {
-            start_log(args.log_level());
+            start_log(args.common.log_level());
             study::study(&args)
         }
     }

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 
 use crate::case::{Arrival, CaseFile, SchemeKind};
 use crate::exact::ErrorMeasure;
+use crate::memory;
 use crate::output::comparison::{ArrivalTime, Comparison, SeriesError};
 use crate::output::observers::Energy;
 use crate::particles::Particles;
@@ -74,12 +75,12 @@ impl<const D: usize> Report<'_, D> {
         json!({
             "case": self.case.name,
             "version": env!("CARGO_PKG_VERSION"),
-            "ended": self.failure.as_deref().unwrap_or("at the end"),
+            "ended": self.failure.as_deref().unwrap_or(crate::run::AT_THE_END),
             "time_s": self.time,
             "steps": self.step,
             "wall_s": self.wall_s,
             "stages_s": stages,
-            "memory_mb": peak_memory_mb(),
+            "memory_mb": memory::peak_mb(),
             "particles": {
                 "fluid": self.particles.fluid().len(), "wall": self.particles.walls().len(),
                 "dummy": self.particles.dummies().len(), "left": t.left, "through_walls": t.through_walls,
@@ -160,7 +161,7 @@ impl<const D: usize> fmt::Display for Report<'_, D> {
         let stages =
             self.scheme.stages().iter().map(|(name, spent)| format!("{name} {:.2}", spent.as_secs_f64()));
         line("stages, s", stages.collect::<Vec<_>>().join(", "))?;
-        if let Some(memory) = peak_memory_mb() {
+        if let Some(memory) = memory::peak_mb() {
             line("memory", format!("{memory:.0} MB at most"))?;
         }
         for e in &self.errors {
@@ -282,11 +283,4 @@ fn arrival_sentence(found: &ArrivalTime) -> String {
         None => "its reference was not given".to_owned(),
     };
     format!("{quantity} at {level}: {time}, {expected} ({source})")
-}
-
-/// Largest resident memory of this process in MB, where the system tells.
-fn peak_memory_mb() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    Some(line.trim().trim_end_matches("kB").trim().parse::<f64>().ok()? / 1024.0)
 }

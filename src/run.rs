@@ -28,7 +28,7 @@ use crate::{Error, Result, patch_test};
 
 /// Runs a case on `ranks`; all of them call this with the same arguments.
 pub fn run(args: &RunArgs, case: &CaseFile, ranks: Ranks) -> Result<()> {
-    start_threads(args.threads.or(ranks.threads()))?;
+    start_threads(args.common.threads.or(ranks.threads()))?;
     match case.dimension {
         2 => run_in::<2>(args, case, ranks),
         _ => run_in::<3>(args, case, ranks),
@@ -286,12 +286,12 @@ impl<'a, const D: usize> Output<'a, D> {
             solver_log: SolverLog::new(&folder, since)?,
             snapshots: Snapshots::new(&folder, case, since)?,
             pictures: Pictures::new(&folder, case, since),
-            progress: Progress::new(case.time.until, args.quiet),
+            progress: Progress::new(case.time.until, args.common.quiet),
             references,
             began: Instant::now(),
             earlier_s: since.map_or(0.0, |_| wall_time_in(&folder)),
             solver,
-            quiet: args.quiet,
+            quiet: args.common.quiet,
             case,
             folder,
         })
@@ -420,7 +420,7 @@ fn scheme<const D: usize>(
 fn is_explicit(args: &RunArgs, case: &CaseFile) -> Result<bool> {
     let explicit = matches!(case.scheme.kind, SchemeKind::Wcsph | SchemeKind::WcsphMonaghan);
     let name = case.scheme.kind.name();
-    match args.petsc.first() {
+    match args.common.petsc.first() {
         Some(option) if explicit => Err(Error::Input(format!(
             "{option} is a PETSc option, and the scheme {name} solves no system: leave it out or choose --scheme isph_df"
         ))),
@@ -433,7 +433,9 @@ fn is_explicit(args: &RunArgs, case: &CaseFile) -> Result<bool> {
 
 #[cfg(feature = "petsc")]
 fn pressure_solver(args: &RunArgs, size: usize, ranks: Ranks) -> Result<Box<dyn PressureSolve>> {
-    let session = crate::petsc::Session::start(&args.petsc)?;
+    use crate::ppe::{recorder::Recorder, solve::PressureSolver};
+
+    let session = crate::petsc::Session::start(&args.common.petsc)?;
     if session.size() != ranks.count() {
         let count = session.size();
         let sentence =
@@ -441,7 +443,12 @@ fn pressure_solver(args: &RunArgs, size: usize, ranks: Ranks) -> Result<Box<dyn 
         // The first rank speaks for all: an empty message prints nothing.
         return Err(Error::Input(if session.rank() == 0 { sentence } else { String::new() }));
     }
-    Ok(Box::new(crate::ppe::solve::PressureSolver::new(session, size)?))
+    let solver = Box::new(PressureSolver::new(session, size)?);
+    match args.save_systems.is_empty() {
+        true => Ok(solver),
+        // A saved system is whole: every matrix, and the guess from before the solution.
+        false => Ok(Box::new(Recorder::new(solver))),
+    }
 }
 
 #[cfg(not(feature = "petsc"))]
@@ -493,11 +500,45 @@ fn resume_from(args: &RunArgs, case: &CaseFile) -> Result<Option<(RunFolder, che
     Ok(Some((RunFolder::open(&path)?, state)))
 }
 
+/// What a summary says of a run that reached its end.
+pub(crate) const AT_THE_END: &str = "at the end";
+
+/// Arguments of the program that does a run or what is left of it; none if it is done.
+pub(crate) fn left_to_do(
+    args: RunArgs,
+    case: &CaseFile,
+    folder: &Path,
+    force: bool,
+) -> Result<Option<RunArgs>> {
+    let threads = args.common.threads.unwrap_or_else(rayon::current_num_threads);
+    let wanted = run_file(&args, case, threads, Ranks::default());
+    let args = RunArgs { out: Some(folder.to_owned()), ..args };
+    let begin_again = Ok(Some(RunArgs { force: true, ..args.clone() }));
+    match std::fs::read_to_string(folder.join("run.toml")) {
+        Err(_) => Ok(Some(args)),
+        Ok(found) if found != wanted && force => begin_again,
+        Ok(found) if found != wanted => Err(Error::Input(format!(
+            "{} is a run with other arguments: choose another --out, or --force to run it again",
+            folder.display()
+        ))),
+        Ok(_) if summary(folder)["ended"] == AT_THE_END => Ok(None),
+        // `latest` fails for a folder that cannot be read: the run will say so.
+        Ok(_) => match checkpoint::latest(&folder.join("checkpoint")) {
+            Ok(None) => begin_again,
+            _ => Ok(Some(RunArgs { resume: Some(Some(folder.to_owned())), ..args })),
+        },
+    }
+}
+
+/// summary.json of a run; null where there is none.
+pub(crate) fn summary(folder: &Path) -> serde_json::Value {
+    let text = std::fs::read(folder.join("summary.json")).unwrap_or_default();
+    serde_json::from_slice(&text).unwrap_or_default()
+}
+
 /// What the summary of an earlier part of a run gives as its wall-clock time in s.
 fn wall_time_in(folder: &RunFolder) -> f64 {
-    let summary = std::fs::read(folder.join("summary.json")).ok();
-    let summary = summary.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
-    summary.and_then(|summary| summary["wall_s"].as_f64()).unwrap_or(0.0)
+    summary(folder.path())["wall_s"].as_f64().unwrap_or(0.0)
 }
 
 /// A number for what the particles of a case are made from; what else differs is no obstacle to going on.
@@ -525,7 +566,7 @@ fn write_run_file(folder: &RunFolder, args: &RunArgs, case: &CaseFile, ranks: Ra
 pub(crate) fn run_file(args: &RunArgs, case: &CaseFile, threads: usize, ranks: Ranks) -> String {
     let header = "The case as run, with all defaults: feed it back to repeat the run.";
     let mut text = read::write(case, header);
-    let references = args.references.iter().map(|reference| {
+    let references = args.common.references.iter().map(|reference| {
         let name = reference.name.as_ref().map(|name| format!("{name}=")).unwrap_or_default();
         toml::Value::from(name + &reference.file.to_string_lossy())
     });
@@ -533,7 +574,7 @@ pub(crate) fn run_file(args: &RunArgs, case: &CaseFile, threads: usize, ranks: R
     let machine = toml::Table::from_iter([
         ("version".to_owned(), env!("CARGO_PKG_VERSION").into()),
         ("petsc".to_owned(), petsc_version().into()),
-        ("petsc_options".to_owned(), args.petsc.join(" ").into()),
+        ("petsc_options".to_owned(), args.common.petsc.join(" ").into()),
         ("references".to_owned(), references.collect::<toml::value::Array>().into()),
         ("system".to_owned(), format!("{} {}", std::env::consts::OS, std::env::consts::ARCH).into()),
         ("ranks".to_owned(), count(ranks.count())),

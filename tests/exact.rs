@@ -3,7 +3,8 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
+
+mod common;
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -11,10 +12,7 @@ use tempfile::TempDir;
 /// Runs a case to its end in a folder of its own.
 fn run(line: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sphpetsc"));
-    let output =
-        command.current_dir(&folder).args(line.split_whitespace()).args(["--out", "out"]).output().unwrap();
-    assert_eq!(output.status.code(), Some(0), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+    common::done(&folder, &format!("{line} --out out"));
     folder
 }
 

@@ -4,20 +4,17 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
+
+mod common;
 
 use sphpetsc::output::checkpoint::{self, Reader};
 use tempfile::TempDir;
 
 /// Runs `line` on `ranks` ranks in `folder`; `None` without mpiexec.
 fn program(folder: &TempDir, line: &str, ranks: usize) -> Option<Output> {
-    if Command::new("mpiexec").arg("--version").output().is_err() {
-        eprintln!("skipped: no mpiexec");
-        return None;
-    }
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sphpetsc"));
-    command.current_dir(folder).args(line.split(' ')).args(["--ranks", &ranks.to_string(), "--threads", "1"]);
-    Some(command.output().unwrap())
+    let line = format!("{line} --ranks {ranks} --threads 1");
+    common::is_installed("mpiexec").then(|| common::run(folder, &line))
 }
 
 /// Runs `line` with its output in a folder named by the ranks; false without mpiexec.

@@ -145,8 +145,9 @@ fn errors_over_run_times_are_drawn_with_failures() {
         Curve {
             label: "one".into(),
             marks: vec![mark(1.0, Some(0.1)), mark(8.0, Some(0.03)), mark(60.0, None)],
+            joined: true,
         },
-        Curve { label: "two".into(), marks: vec![mark(2.0, Some(0.0)), mark(0.0, Some(0.1))] },
+        Curve { label: "two".into(), marks: vec![mark(2.0, Some(0.0)), mark(0.0, Some(0.1))], joined: false },
     ];
     loglog_plot(&path, "title", "time, s", "error", &curves).unwrap();
     assert!(Picture::read(&path).count([0, 114, 178]) > 300);

@@ -14,7 +14,7 @@ use sphpetsc::ppe::{Needs, Rows};
 use sphpetsc::scheme::Params;
 use sphpetsc::terms::surface;
 
-const ALL: Needs = Needs { symmetric: true, sparse: true };
+const ALL: Needs = Needs { symmetric: true, sparse: true, uncorrected: true };
 
 /// A scene surveyed as the scheme does it, with a source of no particular shape.
 struct Water<const D: usize> {

@@ -2,20 +2,13 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
+mod common;
+
+use common::{done, is_installed, run, stderr, stdout};
 use serde_json::Value;
 use tempfile::TempDir;
-
-fn run(folder: &Path, line: &str) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sphpetsc"));
-    command.current_dir(folder).args(line.split_whitespace()).output().unwrap()
-}
-
-fn done(folder: &Path, line: &str) {
-    let output = run(folder, line);
-    assert_eq!(output.status.code(), Some(0), "{line}: {}", String::from_utf8_lossy(&output.stderr));
-}
 
 /// A run of 50 particles, which needs no PETSc.
 fn sample() -> TempDir {
@@ -75,7 +68,7 @@ fn texts_cannot_break_the_page() {
 
 fn refused(folder: &Path, line: &str, wanted: &str) {
     let output = run(folder, line);
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let said = stderr(&output);
     assert_eq!(output.status.code(), Some(2), "{line}: {said}");
     assert!(said.lines().count() == 1 && said.contains(wanted), "{line}: {said}");
 }
@@ -87,7 +80,7 @@ fn wrong_folders_and_damaged_files_are_named_in_one_sentence() {
     refused(folder.path(), "report nowhere", "there is no folder nowhere");
     refused(folder.path(), "report run -ksp_type cg", "PETSc");
     fs::create_dir(at("empty")).unwrap();
-    refused(folder.path(), "report empty", "neither summary.json nor study.csv");
+    refused(folder.path(), "report empty", "none of summary.json, study.csv and solvers.csv");
     let frame = "run/particles/particles-000003.vtp";
     for name in ["run/history.csv", frame, "run/summary.json"] {
         let whole = fs::read(at(name)).unwrap();
@@ -119,20 +112,59 @@ fn a_study_has_a_page_with_its_table() {
     assert_eq!(table["links"][1], "runs/wcsph-0.04/report.html");
 }
 
-/// The way a user goes: open the page.
+/// The way a user goes: open the page, press Play, pull the slider, sort a table.
+fn look_at(page: &Path) -> String {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/page_check.py");
+    let output = Command::new("python3").arg(script).arg(page).output().unwrap();
+    let said = stdout(&output) + &stderr(&output);
+    assert!(output.status.success(), "{said}");
+    said
+}
+
 #[test]
-fn chromium_shows_the_page() {
-    let installed = |program: &str| Command::new(program).arg("--version").output().is_ok();
-    if !installed("chromium") || !installed("python3") {
-        eprintln!("skipped: no chromium (Debian package chromium) or no python3");
+fn chromium_shows_plays_and_sorts_the_page_of_a_run() {
+    if !is_installed("chromium") || !is_installed("python3") {
         return;
     }
     let folder = sample();
     page(folder.path(), "run");
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/page_check.py");
-    let output =
-        Command::new("python3").arg(script).arg(folder.path().join("run/report.html")).output().unwrap();
-    let said =
-        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.contains("player:"), "{said}");
+    let said = look_at(&folder.path().join("run/report.html"));
+    for wanted in ["player:", "played:", "scrubbed:", "sorted:"] {
+        assert!(said.contains(wanted), "{wanted} {said}");
+    }
+}
+
+#[test]
+fn chromium_shows_and_sorts_the_page_of_a_study() {
+    if !is_installed("chromium") || !is_installed("python3") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let line = "study dam_break_2d --schemes wcsph,wcsph_monaghan --spacings 0.08,0.04 --until 0.05 --threads 1 --out st -q";
+    done(folder.path(), line);
+    page(folder.path(), "st");
+    let said = look_at(&folder.path().join("st/report.html"));
+    assert!(said.contains("sorted:"), "{said}");
+}
+
+#[cfg(feature = "petsc")]
+#[test]
+fn a_laboratory_has_a_page_with_its_choice() {
+    let folder = tempfile::tempdir().unwrap();
+    let sets = folder.path().join("sets.txt");
+    fs::write(&sets, "-ksp_type bcgs -pc_type ilu\n-ksp_type bcgs -pc_type none -ksp_max_it 1\n").unwrap();
+    done(
+        folder.path(),
+        "solvers dam_break_2d --spacing 0.02 --at 0.05,0.1 --sets sets.txt --threads 1 --out so -q",
+    );
+    let (html, data) = page(folder.path(), "so");
+    assert!(html.len() < 5_000_000);
+    assert_eq!(headings(&data), ["Option sets", "Pressure error over solver time", "Picture"]);
+    assert!(data["ended"].as_str().unwrap().contains("-ksp_type bcgs -pc_type ilu"), "{}", data["ended"]);
+    let table = &data["sections"][0]["parts"][0];
+    assert_eq!(table["rows"].as_array().unwrap().len(), 4);
+    if is_installed("chromium") && is_installed("python3") {
+        let said = look_at(&folder.path().join("so/report.html"));
+        assert!(said.contains("sorted:"), "{said}");
+    }
 }

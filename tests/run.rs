@@ -8,6 +8,9 @@ use std::process::{Child, Command, Output, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
+mod common;
+
+use common::{command, done, refused, run, sentence};
 use serde_json::Value;
 use sphpetsc::output::checkpoint::{self, Reader};
 use tempfile::TempDir;
@@ -19,53 +22,9 @@ fn folder() -> TempDir {
     tempfile::tempdir().unwrap()
 }
 
-fn command(folder: &TempDir, line: &str) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sphpetsc"));
-    command.current_dir(folder).args(line.split_whitespace());
-    command
-}
-
-fn run(folder: &TempDir, line: &str) -> Output {
-    command(folder, line).output().unwrap()
-}
-
-fn stdout(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stdout).into_owned()
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
-/// Runs to the end and returns what was printed.
-fn done(folder: &TempDir, line: &str) -> String {
-    let output = run(folder, line);
-    assert_eq!(output.status.code(), Some(0), "{line}: {}", stderr(&output));
-    stdout(&output)
-}
-
 /// Expects this exit code and one error sentence, which is returned.
 fn failed(folder: &TempDir, line: &str, code: i32) -> String {
     sentence(&run(folder, line), code)
-}
-
-fn sentence(output: &Output, code: i32) -> String {
-    let stderr = stderr(output);
-    assert_eq!(output.status.code(), Some(code), "{stderr}");
-    for text in [&stderr, &stdout(output)] {
-        assert!(!text.contains("PETSC ERROR") && !text.contains("panicked"), "{text}");
-    }
-    let errors: Vec<_> = stderr.lines().filter_map(|line| line.strip_prefix("error: ")).collect();
-    assert_eq!(errors.len(), 1, "{stderr}");
-    errors[0].to_owned()
-}
-
-/// Expects a refusal before anything is written.
-fn refused(line: &str) -> String {
-    let folder = folder();
-    let sentence = failed(&folder, line, 2);
-    assert_eq!(fs::read_dir(&folder).unwrap().count(), 0, "{line} wrote something");
-    sentence
 }
 
 /// All files below a folder, relative to it, with their contents.

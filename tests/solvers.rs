@@ -36,7 +36,7 @@ struct Recorder {
 
 impl PressureSolve for Recorder {
     fn needs(&self) -> Needs {
-        Needs { symmetric: true, sparse: true }
+        Needs { symmetric: true, sparse: true, uncorrected: false }
     }
     fn check(&mut self, sample: &PressureSystem) -> Result<()> {
         self.inner.check(sample)

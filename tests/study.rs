@@ -1,23 +1,9 @@
 //! Studies from outside: many runs, each on its own, none done twice.
 
 use std::fs;
-use std::process::{Command, Output};
+mod common;
 
-use tempfile::TempDir;
-
-fn command(folder: &TempDir, line: &str) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sphpetsc"));
-    command.current_dir(folder).args(line.split_whitespace());
-    command
-}
-
-fn run(folder: &TempDir, line: &str) -> Output {
-    command(folder, line).output().unwrap()
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
+use common::{run, stderr};
 
 #[test]
 fn wrong_studies_are_refused_in_one_sentence() {
@@ -32,6 +18,10 @@ fn wrong_studies_are_refused_in_one_sentence() {
         ("study --until 1 --set fluid.densty=1", "did you mean fluid.density?"),
         ("study --reference nowhere.csv", "there is no such file"),
         ("study --resume", "--resume"),
+        ("study paper_comparison --schemes magic", "isph_df"),
+        ("study --vary scheme.shifting", "KEY=VALUE"),
+        ("study --vary scheme.shiftin=0,1", "did you mean"),
+        ("study --tolerances 0", "> 0"),
         (
             "study -ksp_monitor my.toml",
             if cfg!(feature = "petsc") { "put the case first" } else { "no PETSc" },
@@ -50,27 +40,19 @@ fn wrong_studies_are_refused_in_one_sentence() {
 #[cfg(feature = "petsc")]
 mod runs {
     use std::path::Path;
-    use std::process::Stdio;
+    use std::process::{Command, Stdio};
     use std::thread;
     use std::time::{Duration, Instant, SystemTime};
 
     use serde_json::Value;
     use sphpetsc::output::checkpoint;
 
+    use super::common::{command, done};
     use super::*;
+    use tempfile::TempDir;
 
     /// Runs of 50 and 200 particles.
     const STUDY: &str = "study dam_break_2d --spacings 0.02,0.04 --until 0.05 --threads 1";
-
-    fn stdout(output: &Output) -> String {
-        String::from_utf8_lossy(&output.stdout).into_owned()
-    }
-
-    fn done(folder: &TempDir, line: &str) -> String {
-        let output = run(folder, line);
-        assert_eq!(output.status.code(), Some(0), "{line}: {}", stderr(&output));
-        stdout(&output)
-    }
 
     /// The table of a study as rows of cells; no cell of these tests holds a comma but the last.
     fn table(folder: &TempDir) -> (Vec<String>, Vec<Vec<String>>) {
@@ -140,7 +122,7 @@ mod runs {
         let other = line.replace("0.05", "0.04");
         let output = run(&folder, &other);
         assert_eq!(output.status.code(), Some(2));
-        assert!(stderr(&output).contains("of a study with other arguments"), "{}", stderr(&output));
+        assert!(stderr(&output).contains("is a run with other arguments"), "{}", stderr(&output));
         assert_eq!(before, files.each_ref().map(|run| written(&run.join("summary.json"))));
         done(&folder, &format!("{other} --force"));
         assert!(written(&files[0].join("summary.json")) > before[0]);

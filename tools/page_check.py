@@ -2,8 +2,8 @@
 
     python3 tools/page_check.py report.html [--png DIR]
 
-The page must load without console errors and draw its plots. Where it has a film, the player must draw, and two times must
-differ. With --png it leaves screenshots of a desk and a phone, light and dark. Needs no Python package."""
+The page must load without console errors, draw its plots, and sort its tables both ways. Where it has a film, the player must
+draw, Play must play and stop, and the slider lead to its times. With --png it leaves screenshots of a desk and a phone, light and dark. Needs no Python package."""
 
 import argparse
 import base64
@@ -30,6 +30,34 @@ PIXELS = """(() => { const c = document.querySelector('canvas.flow');
   let drawn = 0, sum = 0;
   for (let k = 0; k < d.length; k += 4) if (d[k + 3]) { drawn++; sum = (sum * 31 + k + d[k] + 7 * d[k + 1]) % 1000000007; }
   return [drawn, sum]; })()"""
+# Presses Play and waits for another instant; the picture must follow.
+PLAY = """new Promise((done) => { const time = document.querySelector('.controls output'), before = time.textContent;
+  const play = document.querySelector('.controls button'), began = performance.now();
+  play.click();
+  const look = () => {
+    const moved = time.textContent !== before;
+    if (!moved && performance.now() - began < 20000) return setTimeout(look, 50);
+    const label = play.textContent;
+    play.click();
+    done([moved, label, play.textContent, before, time.textContent]);
+  };
+  look(); })"""
+# Pulls the slider to each of its ends; answers the times shown there.
+SCRUB = """(() => { const s = document.querySelector('input[type=range]'), time = document.querySelector('.controls output');
+  return [s.max, '0'].map((v) => { s.value = v; s.dispatchEvent(new Event('input')); return time.textContent; }); })()"""
+# Clicks a heading of each table twice; answers which tables are in neither order.
+SORT = """(() => [...document.querySelectorAll('.scroll table')].filter((t) => t.tBodies[0].rows.length > 1).map((table, k) => {
+  const column = [...table.tHead.rows[0].cells].findIndex((c, j) => new Set([...table.tBodies[0].rows].map((r) => r.cells[j].textContent)).size > 1);
+  if (column < 0) return [k, true];
+  const head = table.tHead.rows[0].cells[column], cells = () => [...table.tBodies[0].rows].map((r) => r.cells[column].textContent);
+  const before = cells();
+  head.querySelector('button').click();
+  const up = cells(), upward = head.getAttribute('aria-sort');
+  head.querySelector('button').click();
+  const down = cells(), downward = head.getAttribute('aria-sort');
+  const same = (a, b) => JSON.stringify([...a].sort()) === JSON.stringify([...b].sort());
+  return [k, upward === 'ascending' && downward === 'descending' && up[0] !== down[0] && same(before, up) && same(up, down)];
+}))()"""
 LAST = """(() => { const s = document.querySelector('input[type=range]'); s.value = s.max;
   s.dispatchEvent(new Event('input')); })()"""
 
@@ -115,6 +143,17 @@ def check(browser, args):
             problems.append("the player draws nothing")
         if first == last:
             problems.append("the first and the last time look the same")
+        moved, playing, paused, before, after = browser.run(PLAY)
+        print(f"played: from {before} to {after}")
+        if not (moved and playing == "Pause" and paused == "Play"):
+            problems.append("Play does not play, or does not stop")
+        end, start = browser.run(SCRUB)
+        print(f"scrubbed: {end}, then {start}")
+        if end == start or browser.run(PIXELS) != first:
+            problems.append("the slider does not lead to its times")
+    tables = browser.run(SORT)
+    print(f"sorted: {sum(good for _, good in tables)} of {len(tables)} tables")
+    problems += [f"table {k} does not sort" for k, good in tables if not good]
     plots, drawn = browser.run("[document.querySelectorAll('.plot').length, document.querySelectorAll('.plot canvas').length]")
     wide = browser.run("document.documentElement.scrollWidth - innerWidth")
     print(f"plots: {drawn} of {plots}")

@@ -21,6 +21,8 @@ use crate::{Error, Result};
 
 /// Tables of a run that hold quantities.
 const TABLES: [&str; 3] = ["history.csv", "probes.csv", "forces.csv"];
+/// Columns of the first of these that tell of the flow as a whole.
+const HISTORY: [&str; 3] = ["front_m", "kinetic_energy_j", "centre_height_m"];
 /// Steps on either side in the search for the best time shift.
 const SHIFTS: i32 = 300;
 
@@ -160,6 +162,37 @@ impl<'a> References<'a> {
             time: reached(run, arrival.level - reach),
         })
     }
+}
+
+/// Relative rms differences of the tables of one run from those of another, by column: of the values at the other's times, as
+/// far as both reach, over the largest |value| of the other. Columns that the other has at 0 throughout are left out.
+///
+/// # Errors
+/// [`Error::Input`] for a table that cannot be read.
+pub fn differences(run: &Path, other: &Path) -> Result<Vec<(String, f64)>> {
+    let mut found = vec![];
+    for table in TABLES {
+        let files = [run, other].map(|folder| folder.join(table));
+        if !files.iter().all(|file| file.exists()) {
+            continue;
+        }
+        let [own, theirs] = [Columns::read(&files[0], 0.0)?, Columns::read(&files[1], 0.0)?];
+        let is_wanted = |name: &&str| {
+            let known = table != TABLES[0] || HISTORY.contains(name);
+            *name != "time_s" && known && own.columns.contains_key(*name)
+        };
+        for name in theirs.names().filter(is_wanted) {
+            let (own, theirs) = (own.pairs("time_s", name)?, theirs.pairs("time_s", name)?);
+            let last = own.last().map_or(f64::NEG_INFINITY, |(time, _)| *time);
+            let theirs: Vec<_> = theirs.into_iter().filter(|(time, _)| *time <= last).collect();
+            let times: Vec<f64> = theirs.iter().map(|(time, _)| *time).collect();
+            let size = theirs.iter().map(|(_, value)| value.abs()).fold(0.0, f64::max);
+            let values = sampled(&own, &times, 0.0).into_iter().zip(&theirs);
+            let error = rms(&values.map(|(a, (_, b))| (a - b) / size).collect::<Vec<_>>());
+            found.extend(Some((format!("{name}_rms"), error)).filter(|_| size > 0.0 && error.is_finite()));
+        }
+    }
+    Ok(found)
 }
 
 /// The first time at which a series is at a level or above.

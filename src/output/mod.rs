@@ -5,12 +5,14 @@
 //! simulation with them.
 //! Every file but the growing tables goes through [`write_atomic`], so that it appears whole or not at all.
 
+pub mod aligned;
 pub mod checkpoint;
 pub mod comparison;
 pub mod exact_log;
 pub mod folder;
 pub mod forces;
 pub mod observers;
+pub mod pareto;
 pub mod picture;
 pub mod probes;
 pub mod profiles;

@@ -165,10 +165,7 @@ pub struct Stored {
 /// # Errors
 /// [`Error::Input`] for a file that is damaged or lacks one of the quantities.
 pub fn read_vtp(path: &Path) -> Result<Stored> {
-    let damaged = |why: &str| {
-        let file = path.display();
-        Error::Input(format!("{file}: cannot be read ({why}): restore the file or run the case again"))
-    };
+    let damaged = |why: &str| Error::unreadable(path, &why);
     let bytes = fs::read(path).map_err(|error| damaged(&error.to_string()))?;
     // vtkio does not read a file without pieces, as VTK does.
     if bytes == EMPTY.as_bytes() {
@@ -213,9 +210,7 @@ pub fn snapshots(path: &Path) -> Result<Vec<(f64, PathBuf)>> {
     if !path.exists() {
         return Ok(Vec::new());
     }
-    let text = fs::read_to_string(path).map_err(|error| {
-        Error::Input(format!("{}: cannot be read ({error}): restore the file", path.display()))
-    })?;
+    let text = fs::read_to_string(path).map_err(|error| Error::unreadable(path, &error))?;
     let pvd = Pvd::create(path);
     let file = |(index, time)| (time, path.with_file_name(pvd.file(index)));
     Ok(times_in(&text).into_iter().enumerate().map(file).collect())

@@ -1,8 +1,9 @@
-//! One HTML page of a run or a study, which needs no network and no other file.
+//! One HTML page of a run, a study or a solver laboratory, which needs no network and no other file.
 //!
 //! What is shown is gathered here as data (`Page`); `assets/page.js` makes the page of it, and uPlot (MIT, its licence
 //! beside it) draws the plots. All text from files travels as JSON without a `<` and is shown as text, never as HTML.
 
+mod lab;
 mod movie;
 mod plots;
 mod recorded;
@@ -90,7 +91,7 @@ struct Picture {
     png: String,
 }
 
-/// Writes the page of the folder of a run or a study into it.
+/// Writes the page of the folder of a run, a study or a laboratory into it.
 ///
 /// # Errors
 /// [`Error::Input`] for a folder of neither and for files that are damaged, before anything is written.
@@ -99,15 +100,16 @@ pub fn write(args: &ReportArgs) -> Result<()> {
     let page = match () {
         () if !folder.is_dir() => {
             return Err(Error::Input(format!(
-                "there is no folder {}: name that of a run or a study, like out/dam_break_2d",
+                "there is no folder {}: name that of a run, a study or a solver laboratory, like out/dam_break_2d",
                 folder.display()
             )));
         }
         () if folder.join("study.csv").is_file() => study::page(folder)?,
+        () if folder.join("solvers.csv").is_file() => lab::page(folder)?,
         () if folder.join("summary.json").is_file() => recorded::page(folder)?,
         () => {
             return Err(Error::Input(format!(
-                "{} has neither summary.json nor study.csv: name the folder of a run that has ended, or of a study",
+                "{} has none of summary.json, study.csv and solvers.csv: name the folder of a run that has ended, of a study or of a solver laboratory",
                 folder.display()
             )));
         }
@@ -162,17 +164,8 @@ fn html(page: &Page) -> String {
 
 /// Reads a JSON file of a run.
 fn read_json(path: &Path) -> Result<Value> {
-    let text = fs::read(path).map_err(|error| unreadable(path, &error))?;
-    serde_json::from_slice(&text).map_err(|error| unreadable(path, &error))
-}
-
-/// A file that is damaged or cannot be read.
-fn unreadable(path: &Path, why: &dyn std::fmt::Display) -> Error {
-    let why = why.to_string().replace('\n', " ");
-    Error::Input(format!(
-        "{}: cannot be read ({why}): restore the file or run the case again",
-        path.display()
-    ))
+    let text = fs::read(path).map_err(|error| Error::unreadable(path, &error))?;
+    serde_json::from_slice(&text).map_err(|error| Error::unreadable(path, &error))
 }
 
 /// The picture files named; of many, as many as a page bears.
@@ -183,9 +176,9 @@ fn pictures(heading: &str, files: &[std::path::PathBuf]) -> Result<Option<Sectio
     let stride = files.len().div_ceil(PICTURES);
     let mut shown = Vec::new();
     for path in files.iter().rev().step_by(stride) {
-        let bytes = fs::read(path).map_err(|error| unreadable(path, &error))?;
+        let bytes = fs::read(path).map_err(|error| Error::unreadable(path, &error))?;
         if !bytes.starts_with(b"\x89PNG") {
-            return Err(unreadable(path, &"no PNG"));
+            return Err(Error::unreadable(path, &"no PNG"));
         }
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         shown.push(Picture { name, png: BASE64.encode(bytes) });

@@ -68,6 +68,11 @@ impl Curves {
             notes: points.into_iter().map(|point| point.2).collect(),
         }
     }
+
+    /// Single points with a note beside each.
+    pub fn scattered(label: &str, points: Vec<(f64, f64, String)>) -> Self {
+        Self { dots: true, ..Self::noted(label, points) }
+    }
 }
 
 /// Of each interval of rows the first, the first gap, and the least and largest of each column; and the last row.

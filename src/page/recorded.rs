@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::plots::{Curves, Plot};
 use super::sheet::Sheet;
-use super::{Page, Part, Section, Table, movie, pictures, read_json, unreadable};
+use super::{Page, Part, Section, Table, movie, pictures, read_json};
 use crate::case::CaseFile;
 use crate::cli::{self, RunArgs};
 use crate::output::comparison::References;
@@ -21,10 +21,11 @@ const AT_THE_END: &str = "at the end";
 pub fn page(folder: &Path) -> Result<Page> {
     let summary = read_json(&folder.join("summary.json"))?;
     let path = folder.join("run.toml");
-    let text = fs::read_to_string(&path).map_err(|error| unreadable(&path, &error))?;
+    let text = fs::read_to_string(&path).map_err(|error| Error::unreadable(&path, &error))?;
     let table: toml::Table =
-        toml::from_str(&text).map_err(|error| unreadable(&path, &error.message().to_owned()))?;
-    let mut args = RunArgs { case: Some(path.to_string_lossy().into_owned()), ..RunArgs::default() };
+        toml::from_str(&text).map_err(|error| Error::unreadable(&path, &error.message().to_owned()))?;
+    let mut args = RunArgs::default();
+    args.common.case = Some(path.to_string_lossy().into_owned());
     let case = args.load_case()?;
     let lost = find_references(&mut args, &table)?;
     let files = args.reference_files(&case)?;
@@ -62,7 +63,7 @@ fn find_references(args: &mut RunArgs, table: &toml::Table) -> Result<Vec<String
     for typed in given.into_iter().flatten().filter_map(toml::Value::as_str) {
         let reference = cli::reference(typed).map_err(Error::Input)?;
         if reference.file.is_file() {
-            args.references.push(reference);
+            args.common.references.push(reference);
         } else {
             lost.push(format!("{typed} is not found from here: its data are not drawn."));
         }

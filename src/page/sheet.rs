@@ -4,8 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::unreadable;
-use crate::Result;
+use crate::{Error, Result};
 
 /// Words that stand where there is nothing to measure.
 const NOTHING: [&str; 2] = ["dry", "none"];
@@ -21,12 +20,12 @@ pub struct Sheet {
 impl Sheet {
     /// Reads a table whose rows are all as long as its head.
     pub fn read(path: &Path) -> Result<Self> {
-        let damaged = |error: csv::Error| unreadable(path, &error);
+        let damaged = |error: csv::Error| Error::unreadable(path, &error);
         let mut reader = csv::Reader::from_path(path).map_err(damaged)?;
         let cells = |row: &csv::StringRecord| row.iter().map(str::to_owned).collect::<Vec<_>>();
         let head = cells(reader.headers().map_err(damaged)?);
         if head.is_empty() {
-            return Err(unreadable(path, &"it is empty"));
+            return Err(Error::unreadable(path, &"it is empty"));
         }
         let rows = reader.records().map(|row| Ok(cells(&row.map_err(damaged)?)));
         Ok(Self { file: path.to_owned(), rows: rows.collect::<Result<_>>()?, head })
@@ -40,7 +39,7 @@ impl Sheet {
             Err(_) if NOTHING.contains(&&*row[column]) => Ok(None),
             Err(_) => {
                 let what = format!("line {} has no number under {name}", k + 2);
-                Err(unreadable(&self.file, &what))
+                Err(Error::unreadable(&self.file, &what))
             }
         };
         self.rows.iter().enumerate().map(number).collect::<Result<_>>().map(Some)

@@ -52,7 +52,9 @@ pub fn page(folder: &Path) -> Result<Page> {
     let count = rows.len();
     Ok(Page {
         title: name.unwrap_or_else(|| "study".into()),
-        description: "A study: errors and run times of one case with several schemes and spacings".into(),
+        description:
+            "A study: errors and run times of one case with several schemes, spacings, time steps or solvers"
+                .into(),
         good: failed == 0,
         ended: format!("{count} runs, {failed} of them failed"),
         figures: vec![],
@@ -61,14 +63,18 @@ pub fn page(folder: &Path) -> Result<Page> {
     })
 }
 
-/// A plot of each error measure: a curve a scheme, the spacing beside each point.
+/// A plot of each error measure: what the points of a curve differ in stands beside each.
 fn measures(sheet: &Sheet) -> Result<Vec<Plot>> {
     let is_measure = |name: &&String| sheet.head.contains(&format!("{name}_order"));
     let (times, spacings) = (sheet.numbers("wall_s")?, sheet.numbers("spacing_m")?);
     let (Some(times), Some(spacings)) = (times, spacings) else { return Ok(vec![]) };
-    let schemes: Vec<String> =
-        sheet.values().iter().map(|row| row[0].as_str().unwrap_or("").to_owned()).collect();
-    let mut unique = schemes.clone();
+    let steps = sheet.numbers("step_s")?.unwrap_or(vec![None; times.len()]);
+    let tolerances = sheet.numbers("rtol")?.unwrap_or(vec![None; times.len()]);
+    // Tables of older versions have no curves: there it is the scheme.
+    let column = sheet.head.iter().position(|known| known == "curve").unwrap_or(0);
+    let name = |row: &Vec<Value>| row[column].as_str().unwrap_or("").to_owned();
+    let names: Vec<String> = sheet.values().iter().map(name).collect();
+    let mut unique = names.clone();
     unique.dedup();
     let mut plots = vec![];
     for name in sheet.head.iter().filter(is_measure) {
@@ -76,11 +82,15 @@ fn measures(sheet: &Sheet) -> Result<Vec<Plot>> {
         let point = |k: usize| {
             // Logarithms take only what is above 0.
             let (x, y) = (times[k].filter(|x| *x > 0.0)?, errors[k].filter(|y| *y > 0.0)?);
-            Some((x, y, spacings[k].map(|spacing| format!("{spacing} m")).unwrap_or_default()))
+            let spacing = spacings[k].map(|spacing| format!("{spacing} m"));
+            let step = steps[k].map(|step| format!("dt {step} s"));
+            let tolerance = tolerances[k].map(|tolerance| format!("rtol {tolerance:e}"));
+            let note = [spacing, step, tolerance].into_iter().flatten().collect::<Vec<_>>().join(", ");
+            Some((x, y, note))
         };
-        let curve = |scheme: &String| {
-            let points = (0..schemes.len()).filter(|&k| schemes[k] == *scheme).filter_map(point);
-            Curves::noted(&scheme.to_uppercase(), points.collect())
+        let curve = |name: &String| {
+            let points = (0..names.len()).filter(|&k| names[k] == *name).filter_map(point);
+            Curves::noted(name, points.collect())
         };
         plots.push(Plot {
             title: name.replace('_', " "),

@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use super::error::{c_string, check, text};
 use super::ffi;
-use super::mat::Matrix;
+use super::mat::{Matrix, stored};
 use super::session::Session;
 use super::vec::Vector;
 use crate::Result;
@@ -169,6 +169,31 @@ impl Ksp {
         // SAFETY: `raw` is a live solver.
         check(unsafe { ffi::KSPGetTotalIterations(self.raw, &raw mut total) })?;
         Ok(total as usize)
+    }
+
+    /// Entries of all levels of a multigrid of PETSc's, or of the factors, over those of the matrix that the
+    /// preconditioner was made from; none for other preconditioners. After a set-up only.
+    pub fn complexity(&self) -> Result<Option<f64>> {
+        let pc = self.pc()?;
+        let kind = self.types()?.1;
+        if ["gamg", "ml", "mg"].contains(&kind.as_str()) {
+            let (mut grids, mut operators) = (0.0, 0.0);
+            // SAFETY: a live multigrid that is set up, and two valid places.
+            check(unsafe { ffi::PCMGGetGridComplexity(pc, &raw mut grids, &raw mut operators) })?;
+            return Ok(Some(operators).filter(|value| *value > 0.0));
+        }
+        if ["lu", "cholesky", "ilu", "icc"].contains(&kind.as_str()) {
+            let (mut factors, mut matrix, mut made_from) =
+                (ptr::null_mut(), ptr::null_mut(), ptr::null_mut());
+            // SAFETY: live objects; the matrices are lent by the preconditioner, which lives on.
+            return unsafe {
+                check(ffi::PCFactorGetMatrix(pc, &raw mut factors))?;
+                check(ffi::PCGetOperators(pc, &raw mut matrix, &raw mut made_from))?;
+                let (factors, made_from) = (stored(factors)?, stored(made_from)?);
+                Ok(Some(factors / made_from).filter(|value| value.is_finite() && *value > 0.0))
+            };
+        }
+        Ok(None)
     }
 
     /// The session this solver belongs to.

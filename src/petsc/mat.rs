@@ -2,14 +2,13 @@
 
 use std::mem::MaybeUninit;
 use std::ops::Range;
-use std::path::Path;
 use std::ptr;
 use std::rc::Rc;
 
 use super::error::check;
 use super::ffi;
 use super::session::Session;
-use super::vec::{BinaryFile, Vector};
+use super::vec::Vector;
 use crate::{Error, Result};
 
 /// A square sparse matrix; each rank owns consecutive rows.
@@ -85,13 +84,8 @@ impl Matrix {
 
     /// Stored entries over all ranks.
     pub fn nonzeros(&self) -> Result<usize> {
-        let mut info = MaybeUninit::<ffi::MatInfo>::zeroed();
-        // SAFETY: `raw` is a live matrix; PETSc fills the plain numbers of `info`.
-        let info = unsafe {
-            check(ffi::MatGetInfo(self.raw, ffi::MAT_GLOBAL_SUM, info.as_mut_ptr()))?;
-            info.assume_init()
-        };
-        Ok(info.nz_used as usize)
+        // SAFETY: `raw` is a live matrix.
+        Ok(unsafe { stored(self.raw) }? as usize)
     }
 
     /// `y = A x`.
@@ -145,15 +139,6 @@ impl Matrix {
         check(unsafe { ffi::MatSetTransposeNullSpace(self.raw, space.raw) })
     }
 
-    /// Writes the matrix and a right-hand side to one file in PETSc's binary format, as PETSc's
-    /// solver examples read it (`-f FILE`).
-    pub fn save(&self, rhs: &Vector, path: &Path) -> Result<()> {
-        let file = BinaryFile::create(&self.session, path)?;
-        // SAFETY: live objects on the same ranks.
-        check(unsafe { ffi::MatView(self.raw, file.raw()) })?;
-        check(unsafe { ffi::VecView(rhs.raw(), file.raw()) })
-    }
-
     pub(super) fn raw(&self) -> ffi::Mat {
         self.raw
     }
@@ -189,6 +174,20 @@ impl Split {
         }
         Self { own, others }
     }
+}
+
+/// Stored entries of a matrix or of factors, over all ranks.
+///
+/// # Safety
+/// `matrix` is a live matrix.
+pub(super) unsafe fn stored(matrix: ffi::Mat) -> Result<f64> {
+    let mut info = MaybeUninit::<ffi::MatInfo>::zeroed();
+    // SAFETY: the caller vouches for the matrix; PETSc fills the plain numbers of `info`.
+    let info = unsafe {
+        check(ffi::MatGetInfo(matrix, ffi::MAT_GLOBAL_SUM, info.as_mut_ptr()))?;
+        info.assume_init()
+    };
+    Ok(info.nz_used)
 }
 
 /// Everything PETSc would trust blindly.

@@ -219,6 +219,11 @@ impl Options {
         Ok(option_names(&listing?, PREFIX))
     }
 
+    /// Takes back what [`set_default`](Self::set_default) set; the user's own stays.
+    pub fn unset_default(&self, name: &str) -> Result<()> {
+        if self.given.borrow().contains_key(&name.to_lowercase()) { Ok(()) } else { self.clear(name) }
+    }
+
     fn set(&self, name: &str, value: &str) -> Result<()> {
         let (name, value) = (c_string(&format!("-{name}"))?, c_string(value)?);
         // SAFETY: null means the global database; PETSc copies the C strings.
@@ -276,9 +281,9 @@ unsafe fn registered(list: ffi::PetscFunctionList) -> Result<Vec<String>> {
     Ok(found)
 }
 
-/// What reaches standard output during `work`. PETSc writes help partly to `PETSC_STDOUT`, partly to
+/// What reaches standard output during `work`, and that on no screen. PETSc writes help partly to `PETSC_STDOUT`, partly to
 /// C's `stdout`, so the file descriptor itself is turned aside for the while.
-fn captured(work: impl FnOnce() -> Result<()>) -> Result<String> {
+pub fn captured(work: impl FnOnce() -> Result<()>) -> Result<String> {
     const STDOUT: c_int = 1;
     let lost = |e: io::Error| Error::io("temporary file", e);
     io::stdout().flush().map_err(lost)?;

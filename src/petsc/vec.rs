@@ -6,6 +6,7 @@ use std::{ptr, slice};
 
 use super::error::{c_string, check};
 use super::ffi;
+use super::mat::Matrix;
 use super::session::Session;
 use crate::Result;
 
@@ -130,11 +131,12 @@ impl Drop for Vector {
     }
 }
 
-/// An open file of PETSc's binary format, which PETSc's own tools and `PetscBinaryIO` read.
-pub(super) struct BinaryFile(ffi::PetscViewer);
+/// An open file of PETSc's binary format, which PETSc's solver examples (`-f FILE`) and `PetscBinaryIO` read.
+pub struct BinaryFile(ffi::PetscViewer);
 
 impl BinaryFile {
-    pub(super) fn create(session: &Session, path: &Path) -> Result<Self> {
+    /// A new file, of all ranks together.
+    pub fn create(session: &Session, path: &Path) -> Result<Self> {
         let name = c_string(&path.display().to_string())?;
         let mut file = Self(ptr::null_mut());
         // SAFETY: a new viewer is written to `file`; `Drop` destroys it also when a later call fails.
@@ -148,8 +150,16 @@ impl BinaryFile {
         Ok(file)
     }
 
-    pub(super) fn raw(&self) -> ffi::PetscViewer {
-        self.0
+    /// Appends a matrix.
+    pub fn matrix(&self, matrix: &Matrix) -> Result<()> {
+        // SAFETY: live objects on the same ranks.
+        check(unsafe { ffi::MatView(matrix.raw(), self.0) })
+    }
+
+    /// Appends a vector.
+    pub fn vector(&self, vector: &Vector) -> Result<()> {
+        // SAFETY: live objects on the same ranks.
+        check(unsafe { ffi::VecView(vector.raw, self.0) })
     }
 }
 

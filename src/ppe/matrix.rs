@@ -82,6 +82,7 @@ struct Block {
     plain: Partial,
     sparse: Partial,
     rhs: Vec<f64>,
+    plain_rhs: Vec<f64>,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -139,6 +140,11 @@ impl Assembler {
             let mut plain = Rows::default();
             join(&mut plain, &self.blocks, |block| &block.plain);
             self.system.symmetric = symmetric_mean(&plain, self.system.first_row, halo.ranks());
+        }
+        if needs.uncorrected {
+            join(&mut self.system.uncorrected, &self.blocks, |block| &block.plain);
+            self.system.uncorrected_rhs =
+                self.blocks.iter().flat_map(|block| &block.plain_rhs).copied().collect();
         }
         if needs.sparse {
             join(&mut self.system.sparse, &self.blocks, |block| &block.sparse);
@@ -212,6 +218,7 @@ impl Block {
         self.plain.clear();
         self.sparse.clear();
         self.rhs.clear();
+        self.plain_rhs.clear();
     }
 
     fn assemble_row<const D: usize>(
@@ -235,7 +242,8 @@ impl Block {
         let (walls_end, own) = (particles.walls().end, column_of[a]);
 
         let (mut diagonal, mut near_diagonal, mut rhs) = (anchor, anchor, -inputs.source[a]);
-        let mut plain_diagonal = anchor;
+        let (mut plain_diagonal, mut plain_rhs) = (anchor, rhs);
+        let wants_plain = needs.symmetric || needs.uncorrected;
         self.full.begin();
         self.plain.begin();
         self.sparse.begin();
@@ -249,7 +257,9 @@ impl Block {
             let behind = b >= walls_end && b < particles.solids();
             let target = if behind { particles.tie[b - walls_end] as usize } else { b };
             if behind {
-                rhs += coefficient * walls.pressure_step(particles, b);
+                let step = walls.pressure_step(particles, b);
+                rhs += coefficient * step;
+                plain_rhs += plain * step;
                 if target == a {
                     continue;
                 }
@@ -262,7 +272,7 @@ impl Block {
                 false => rows.push(column, value),
             };
             put(&mut self.full, -coefficient);
-            if needs.symmetric {
+            if wants_plain {
                 put(&mut self.plain, -plain);
                 plain_diagonal += plain;
             }
@@ -273,7 +283,7 @@ impl Block {
         }
         self.full.push(own, diagonal);
         self.full.end();
-        if needs.symmetric {
+        if wants_plain {
             self.plain.push(own, plain_diagonal);
             self.plain.end();
         }
@@ -282,6 +292,9 @@ impl Block {
             self.sparse.end();
         }
         self.rhs.push(rhs);
+        if needs.uncorrected {
+            self.plain_rhs.push(plain_rhs);
+        }
     }
 }
 
@@ -361,7 +374,7 @@ fn transposed(rows: &Rows, first: usize, ranks: &Ranks) -> Rows {
 }
 
 /// (U + U^T) / 2 off the diagonal, with U's row sums kept: symmetric, and as diagonally dominant as U.
-fn symmetric_mean(plain: &Rows, first: usize, ranks: &Ranks) -> Rows {
+pub(crate) fn symmetric_mean(plain: &Rows, first: usize, ranks: &Ranks) -> Rows {
     let transposed = transposed(plain, first, ranks);
     let mut mean = Rows { start: vec![0], ..Rows::default() };
     for k in 0..plain.len() {

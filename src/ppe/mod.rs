@@ -2,8 +2,11 @@
 //!
 //! [`matrix`] assembles plain rows from particles, [`source`] fills the right-hand side, and whatever implements
 //! [`PressureSolve`] solves; with the feature `petsc` that is [`solve::PressureSolver`].
+//! [`recorder`] keeps systems as they were before their solution, [`saved`] reads them from their files.
 
 pub mod matrix;
+pub mod recorder;
+pub mod saved;
 #[cfg(feature = "petsc")]
 pub mod solve;
 pub mod source;
@@ -33,8 +36,12 @@ pub struct PressureSystem {
     pub symmetric: Rows,
     /// Sparse Pmat: the symmetric operator cut at a short radius; filled only on demand.
     pub sparse: Rows,
+    /// The uncorrected operator of Shao & Lo, for comparisons; filled only on demand.
+    pub uncorrected: Rows,
     /// Right-hand side in 1/s2.
     pub rhs: Vec<f64>,
+    /// Right-hand side that belongs to `uncorrected`, in 1/s2; filled only on demand.
+    pub uncorrected_rhs: Vec<f64>,
     /// In: first guess (the last pressure). Out: pressure in Pa.
     pub pressure: Vec<f64>,
     /// Connected sets of unknowns that no free surface touches (pure Neumann, constant null vectors), each as its
@@ -49,6 +56,8 @@ pub struct Needs {
     pub symmetric: bool,
     /// [`PressureSystem::sparse`].
     pub sparse: bool,
+    /// [`PressureSystem::uncorrected`] and its right-hand side.
+    pub uncorrected: bool,
 }
 
 /// What one solve did.

@@ -41,6 +41,9 @@
 //! So a strong threshold of 0.5 serves 2D as well, the sparse matrix pays for multigrid, and a loose inner
 //! tolerance costs the fewest inner iterations.
 //!
+//! `-ppe_tuned no` takes a preconditioner as PETSc ships it, and `-ksp_initial_guess_nonzero no` starts from zero
+//! instead of the last pressure: both are there to compare with.
+//!
 //! **Convergence** is judged by `|b - A x|`, computed after the solve, against `rtol |b|`. A solve that
 //! misses it is an event with a [recorded](SolveRecord::fallback) sequel: from zero, `bcgs`, `gmres`,
 //! `gmres` + `jacobi` (options `-fallback_*`), then an error. A failed solve never passes in silence.
@@ -49,8 +52,10 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::Instant;
 
-use super::{Needs, PressureSolve, PressureSystem, Rows, SolveRecord};
-use crate::petsc::{Ksp, Matrix, NullSpace, Options, Session, Tolerances, Vector, nearest};
+use super::{Needs, PressureSolve, PressureSystem, Rows, SolveRecord, saved};
+use crate::petsc::{
+    BinaryFile, Ksp, Matrix, NullSpace, Options, Session, Tolerances, Vector, captured, nearest,
+};
 use crate::{Error, Result};
 
 /// Below this many unknowns ILU is the default: on the 3,400 of the 2D dam break it is level with BoomerAMG while the water is
@@ -98,7 +103,7 @@ const BOOMERAMG: &[(&str, &str)] = &[
     ("tol", "0"),
 ];
 /// Options of ours in PETSc's database.
-const OWN_OPTIONS: &[&str] = &["ppe_sparse_pmat", "ppe_inner_rtol"];
+const OWN_OPTIONS: &[&str] = &["ppe_sparse_pmat", "ppe_inner_rtol", "ppe_tuned"];
 /// Prefixes of solvers that come into play only when needed.
 const LATE_PREFIXES: &[&str] = &["outer_", "fallback_", "null_"];
 
@@ -148,6 +153,20 @@ struct Problem {
     unknowns: usize,
 }
 
+/// How the chosen method did on a system, without the fallback chain.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    /// Iterations, true residual, reason and times, fallback never.
+    pub record: SolveRecord,
+    /// Whether the true residual is within the tolerance.
+    pub accepted: bool,
+    /// The pressure it came to, in Pa.
+    pub pressure: Vec<f64>,
+    /// Entries of all levels of a multigrid, or of the factors, over those of the matrix it was made from; none where
+    /// PETSc does not tell.
+    pub complexity: Option<f64>,
+}
+
 /// How one method did on one problem.
 struct Attempt {
     pressure: Vector,
@@ -168,6 +187,81 @@ impl PressureSolver {
         session.options().check_types()?;
         let plan = Plan::choose(&session, size)?;
         Ok(Self { session, plan, method: None })
+    }
+
+    /// Tries the chosen method on a system, every object afresh, and says how that went, be it well or not.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for options that do not work or that nothing read, [`Error::Petsc`] and [`Error::Run`] for a
+    /// method that fails altogether.
+    pub fn trial(&mut self, system: &PressureSystem) -> Result<Trial> {
+        let clock = Instant::now();
+        let mut problem = Problem::new(&self.session, system)?;
+        let mut record = SolveRecord { unknowns: problem.unknowns, ..SolveRecord::default() };
+        if let Some(reason) = problem.trivial()? {
+            record.reason = reason.into();
+            let pressure = vec![0.0; system.rhs.len()];
+            return Ok(Trial { record, accepted: true, pressure, complexity: None });
+        }
+        record.nonzeros = problem.full.nonzeros()?;
+        self.method = None;
+        self.prepare(&mut problem)?;
+        record.setup_s = clock.elapsed().as_secs_f64();
+        let Some((_, attempt)) = self.attempt(0, &problem, &mut record)? else {
+            return Err(Error::Run("there is no method to try".into()));
+        };
+        let attempt = attempt?;
+        self.prove_read(&problem)?;
+        let mut pressure = system.pressure.clone();
+        attempt.pressure.read(&mut pressure)?;
+        let complexity = self.complexity(&problem)?;
+        Ok(Trial { record, accepted: attempt.accepted, pressure, complexity })
+    }
+
+    /// What PETSc says of the preconditioner in force; hypre says it only in print.
+    fn complexity(&self, problem: &Problem) -> Result<Option<f64>> {
+        let Some(method) = &self.method else { return Ok(None) };
+        let options = self.session.options();
+        if !self.plan.is_boomeramg(options) {
+            return method.solver.complexity();
+        }
+        let name = boomeramg("", "print_statistics");
+        options.set_default(&name, "1")?;
+        let said = captured(|| {
+            let mut method = Method::new(&self.session, &self.plan)?;
+            method.set_up(problem)
+        });
+        options.unset_default(&name)?;
+        Ok(operator_complexity(&said?))
+    }
+
+    /// Names options that nothing has read, and the nearest valid one, asked from PETSc itself.
+    fn prove_read(&self, problem: &Problem) -> Result<()> {
+        let options = self.session.options();
+        let unused: Vec<String> = options
+            .unused()?
+            .into_iter()
+            .filter(|name| !LATE_PREFIXES.iter().any(|prefix| name.starts_with(prefix)))
+            .collect();
+        if unused.is_empty() {
+            return Ok(());
+        }
+        let plan = &self.plan;
+        let mut valid = options.offered(|prefix| {
+            let mut probe = Ksp::new(&self.session, prefix)?;
+            probe.set_types(&plan.ksp, &plan.pc)?;
+            probe.set_from_options()?;
+            let matrix = problem.symmetric.as_ref().unwrap_or(&problem.full);
+            probe.set_operators(matrix, problem.symmetric_pmat().unwrap_or(matrix))?;
+            probe.set_up()
+        })?;
+        valid.extend(OWN_OPTIONS.iter().map(|name| (*name).into()));
+        let complaints = unused.iter().map(|name| {
+            let hint = nearest(name, valid.iter().map(String::as_str))
+                .map_or_else(|| "see -help".into(), |near| format!("did you mean -{near}?"));
+            format!("-{name}: {} + {} reads no such option; {hint}", plan.ksp, plan.pc)
+        });
+        Err(Error::Input(complaints.collect::<Vec<_>>().join("\n")))
     }
 
     /// Decides and builds the method once; drops the sparse matrix where it is not wanted.
@@ -200,7 +294,8 @@ impl PressureSolver {
         };
         match step {
             0 => {
-                let outcome = method.run(problem, true, record);
+                let from_guess = self.session.options().bool("ksp_initial_guess_nonzero")?.unwrap_or(true);
+                let outcome = method.run(problem, from_guess, record);
                 let name = method.name.clone();
                 Ok(Some((name, outcome)))
             }
@@ -220,11 +315,10 @@ impl PressureSolver {
 
 impl PressureSolve for PressureSolver {
     fn needs(&self) -> Needs {
-        Needs { symmetric: self.plan.nested, sparse: self.plan.sparse }
+        Needs { symmetric: self.plan.nested, sparse: self.plan.sparse, uncorrected: false }
     }
 
-    /// Solves the sample once to find options that do not work or that nothing reads; names the nearest valid option,
-    /// asked from PETSc itself. The sample keeps its pressure.
+    /// Solves the sample once to find options that do not work or that nothing reads. The sample keeps its pressure.
     fn check(&mut self, sample: &PressureSystem) -> Result<()> {
         let mut problem = Problem::new(&self.session, sample)?;
         if problem.trivial()?.is_some() {
@@ -235,31 +329,7 @@ impl PressureSolve for PressureSolver {
         if let Some((_, outcome)) = self.attempt(0, &problem, &mut SolveRecord::default())? {
             outcome.map_err(wrong_options)?;
         }
-        let options = self.session.options();
-        let unused: Vec<String> = options
-            .unused()?
-            .into_iter()
-            .filter(|name| !LATE_PREFIXES.iter().any(|prefix| name.starts_with(prefix)))
-            .collect();
-        if unused.is_empty() {
-            return Ok(());
-        }
-        let plan = &self.plan;
-        let mut valid = options.offered(|prefix| {
-            let mut probe = Ksp::new(&self.session, prefix)?;
-            probe.set_types(&plan.ksp, &plan.pc)?;
-            probe.set_from_options()?;
-            let matrix = problem.symmetric.as_ref().unwrap_or(&problem.full);
-            probe.set_operators(matrix, problem.symmetric_pmat().unwrap_or(matrix))?;
-            probe.set_up()
-        })?;
-        valid.extend(OWN_OPTIONS.iter().map(|name| (*name).into()));
-        let complaints = unused.iter().map(|name| {
-            let hint = nearest(name, valid.iter().map(String::as_str))
-                .map_or_else(|| "see -help".into(), |near| format!("did you mean -{near}?"));
-            format!("-{name}: {} + {} reads no such option; {hint}", plan.ksp, plan.pc)
-        });
-        Err(Error::Input(complaints.collect::<Vec<_>>().join("\n")))
+        self.prove_read(&problem)
     }
 
     /// Solves from the last pressure to the new one; after an error `system.pressure` is as before.
@@ -322,7 +392,7 @@ impl PressureSolve for PressureSolver {
             "{} + {}{on}, preconditioner from {from}; residual {relative} of the right-hand side, at most {iterations} iterations",
             plan.ksp, plan.pc
         );
-        if plan.is_boomeramg(options) {
+        if plan.is_boomeramg(options) && is_tuned(options).unwrap_or(true) {
             let values = boomeramg_defaults(options, "").map(|(name, value)| {
                 let given = options.given(&boomeramg("", name).to_lowercase());
                 format!("{name} {}", given.as_deref().unwrap_or(value))
@@ -332,11 +402,20 @@ impl PressureSolve for PressureSolver {
         text
     }
 
-    /// Writes matrix and right-hand side in PETSc's binary format.
+    /// Writes the system in PETSc's binary format, as [`saved`] says.
     fn save(&self, system: &PressureSystem, folder: &Path, name: &str) -> Result<PathBuf> {
         let path = folder.join(format!("{name}.petsc"));
-        let rhs = Vector::from_slice(&self.session, &system.rhs)?;
-        matrix(&self.session, &system.full)?.save(&rhs, &path)?;
+        let file = BinaryFile::create(&self.session, &path)?;
+        let rows = |rows: &Rows| file.matrix(&matrix(&self.session, rows)?);
+        let values = |values: &[f64]| file.vector(&Vector::from_slice(&self.session, values)?);
+        rows(&system.full)?;
+        values(&system.rhs)?;
+        values(&system.pressure)?;
+        rows(&system.sparse)?;
+        rows(&system.symmetric)?;
+        rows(&system.uncorrected)?;
+        values(&system.uncorrected_rhs)?;
+        values(&saved::marks(&system.floating, system.rhs.len()))?;
         Ok(path)
     }
 }
@@ -364,7 +443,7 @@ impl Plan {
             }
             .into()
         });
-        let sparse = options.bool("ppe_sparse_pmat")?.unwrap_or(multigrid);
+        let sparse = options.bool("ppe_sparse_pmat")?.unwrap_or(multigrid && is_tuned(options)?);
         Ok(Self { ksp, pc, nested, sparse })
     }
 
@@ -694,9 +773,22 @@ fn matrix(session: &Rc<Session>, rows: &Rows) -> Result<Matrix> {
     Matrix::from_rows(session, start, &rows.column, &rows.value)
 }
 
+/// `-ppe_tuned no` leaves preconditioners as PETSc ships them: its defaults, made from the full matrix.
+fn is_tuned(options: &Options) -> Result<bool> {
+    Ok(options.bool("ppe_tuned")?.unwrap_or(true))
+}
+
+/// The operator complexity in what BoomerAMG prints of its set-up: a line `operator = 2.35`.
+fn operator_complexity(printed: &str) -> Option<f64> {
+    let after =
+        |line: &str| line.trim().strip_prefix("operator")?.trim().strip_prefix('=')?.trim().parse().ok();
+    printed.lines().find_map(after)
+}
+
 /// Defaults that go with a preconditioner, each overridden by the user's own.
 fn set_defaults(options: &Options, prefix: &str, pc: &str) -> Result<()> {
     match pc {
+        _ if prefix.is_empty() && !is_tuned(options)? => Ok(()),
         "hypre"
             if options.given(&format!("{prefix}pc_hypre_type")).is_none_or(|kind| kind == "boomeramg") =>
         {

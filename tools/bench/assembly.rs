@@ -13,9 +13,9 @@ use sphpetsc::scheme::Scheme;
 use sphpetsc::scheme::isph::Isph;
 
 const MATRICES: [(&str, Needs); 3] = [
-    ("full", Needs { symmetric: false, sparse: false }),
-    ("full + sparse", Needs { symmetric: false, sparse: true }),
-    ("full + symmetric", Needs { symmetric: true, sparse: false }),
+    ("full", Needs { symmetric: false, sparse: false, uncorrected: false }),
+    ("full + sparse", Needs { symmetric: false, sparse: true, uncorrected: false }),
+    ("full + symmetric", Needs { symmetric: true, sparse: false, uncorrected: false }),
 ];
 
 /// Time that a scheme has spent in assembly.

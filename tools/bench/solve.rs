@@ -22,7 +22,7 @@ const METHODS: [[&str; 2]; 5] =
 fn system<const D: usize>(name: &str) -> PressureSystem {
     let (Scene { mut particles, params, .. }, method) = scenes::scene::<D>(name);
     let caught = Rc::new(RefCell::default());
-    let needs = Needs { symmetric: true, sparse: true };
+    let needs = Needs { symmetric: true, sparse: true, uncorrected: false };
     let catcher = catcher::Catcher { needs, system: Rc::clone(&caught) };
     let mut scheme = Isph::new(params, method, &particles, Box::new(catcher));
     let dt = scheme.max_dt(&particles);

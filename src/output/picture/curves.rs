@@ -107,6 +107,8 @@ pub struct Curve {
     pub label: String,
     /// Points from left to right.
     pub marks: Vec<Mark>,
+    /// Whether a line joins them.
+    pub joined: bool,
 }
 
 /// A point with a note beside it.
@@ -148,7 +150,9 @@ pub fn loglog_plot(path: &Path, title: &str, x_label: &str, y_label: &str, curve
         for (k, (curve, color)) in colored().enumerate() {
             let at = |mark: &Mark| Some(axes.dot((log(mark.x)?, log(mark.y?)?)));
             let line: Vec<_> = curve.marks.iter().filter_map(at).collect();
-            area.draw(&PathElement::new(line, color.stroke_width(4)))?;
+            if curve.joined {
+                area.draw(&PathElement::new(line, color.stroke_width(4)))?;
+            }
             for mark in &curve.marks {
                 if let Some((x, y)) = at(mark) {
                     area.draw(&Circle::new((x, y), dots(5), color.filled()))?;

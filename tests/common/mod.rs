@@ -1,0 +1,64 @@
+//! The program as a user starts it, for all tests that do.
+#![allow(dead_code)]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// The program in a folder with the words of a line as its arguments.
+pub fn command(folder: impl AsRef<Path>, line: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sphpetsc"));
+    command.current_dir(folder).args(line.split_whitespace());
+    command
+}
+
+/// Runs it to its end, whatever that is.
+pub fn run(folder: impl AsRef<Path>, line: &str) -> Output {
+    command(folder, line).output().unwrap()
+}
+
+/// Standard output.
+pub fn stdout(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// Standard error.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Runs it to a good end and returns what was printed.
+pub fn done(folder: impl AsRef<Path>, line: &str) -> String {
+    let output = run(folder, line);
+    assert_eq!(output.status.code(), Some(0), "{line}: {}", stderr(&output));
+    stdout(&output)
+}
+
+/// Expects this exit code and one error sentence, which is returned.
+pub fn sentence(output: &Output, code: i32) -> String {
+    let stderr = stderr(output);
+    assert_eq!(output.status.code(), Some(code), "{stderr}");
+    for text in [&stderr, &stdout(output)] {
+        assert!(!text.contains("PETSC ERROR") && !text.contains("panicked"), "{text}");
+    }
+    let errors: Vec<_> = stderr.lines().filter_map(|line| line.strip_prefix("error: ")).collect();
+    assert_eq!(errors.len(), 1, "{stderr}");
+    errors[0].to_owned()
+}
+
+/// Runs it in an empty folder and expects a refusal before anything is written.
+pub fn refused(line: &str) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let sentence = sentence(&run(&folder, line), 2);
+    assert_eq!(fs::read_dir(&folder).unwrap().count(), 0, "{line} wrote something");
+    sentence
+}
+
+/// Whether a program is there; tests that need one that is missing say so and pass.
+pub fn is_installed(program: &str) -> bool {
+    let is_there = Command::new(program).arg("--version").output().is_ok();
+    if !is_there {
+        eprintln!("skipped: no {program}");
+    }
+    is_there
+}
