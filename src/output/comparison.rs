@@ -20,7 +20,7 @@ use crate::case::{Arrival, CaseFile, Normalise, Reference};
 use crate::{Error, Result};
 
 /// Tables of a run that hold quantities.
-const TABLES: [&str; 3] = ["history.csv", "probes.csv", "forces.csv"];
+const TABLES: [&str; 4] = ["history.csv", "probes.csv", "forces.csv", "bodies.csv"];
 /// Steps on either side in the search for the best time shift.
 const SHIFTS: i32 = 300;
 
