@@ -128,6 +128,7 @@ impl<const D: usize> Bodies<D> {
                 (body.state.velocity, body.state.spin) = (velocity, spin);
             }
         }
+        self.keep_apart(dt);
         q.iter().copied().collect()
     }
 

@@ -24,6 +24,7 @@
 //!
 //! In 2D everything is in the plane z = 0 of the same formulas, per metre of width: bodies move along x and y and turn about z.
 
+pub mod contact;
 pub mod coupling;
 pub mod friction;
 
@@ -31,6 +32,7 @@ use crate::form::{Form, Point, Surface, point};
 use crate::geometry::{Aabb, BodyCells};
 use crate::neighbors::Neighbors;
 use crate::particles::{Particles, Vector};
+use contact::Surroundings;
 use friction::Friction;
 use std::collections::HashSet;
 
@@ -50,6 +52,7 @@ pub struct Bodies<const D: usize> {
     /// Whether velocities are found together with the pressure, or from the pressure at the last ones.
     pub strong: bool,
     spacing: f64,
+    surroundings: Surroundings,
     /// Body of each solid particle, or [`NO_BODY`].
     owner: Vec<u32>,
 }
@@ -141,6 +144,10 @@ pub struct Body<const D: usize> {
     /// Place and rotation at the beginning and in the middle of a step.
     origin: (Point, Matrix3),
     half: (Point, Matrix3),
+    /// Velocity and spin at the beginning of a step.
+    start: (Point, Point),
+    /// Where contact takes it in the present step, if it touches anything.
+    touching: Option<(Point, Matrix3)>,
 }
 
 /// A solid particle of a body: its number, its place relative to the centre, and its normal, both at the start.
@@ -215,7 +222,12 @@ impl<const D: usize> Bodies<D> {
         }
         let bodies = plans.into_iter().zip(cells);
         let list = bodies.map(|(plan, cells)| Body::new(plan, &cells, particles, spacing)).collect();
-        Self { list, time: 0.0, strong, spacing, owner }
+        Self { list, time: 0.0, strong, spacing, surroundings: Surroundings::default(), owner }
+    }
+
+    /// Lets bodies touch walls and boxes.
+    pub fn set_surroundings(&mut self, surroundings: Surroundings) {
+        self.surroundings = surroundings;
     }
 
     /// Whether there is none.
@@ -245,6 +257,7 @@ impl<const D: usize> Bodies<D> {
         for body in &mut self.list {
             let State { position, rotation: turned, velocity, spin, .. } = body.state;
             body.origin = (position, turned);
+            body.start = (velocity, spin);
             body.half = (position + 0.5 * dt * velocity, rotation(&(0.5 * dt * spin)) * turned);
             body.state.position = body.half.0 + ahead * velocity;
             body.state.rotation = rotation(&(ahead * spin)) * body.half.1;
@@ -261,6 +274,10 @@ impl<const D: usize> Bodies<D> {
     /// Second half of a step of `dt` s, with the new velocities.
     pub fn arrive(&mut self, dt: f64) {
         for body in &mut self.list {
+            if let Some((position, turned)) = body.touching {
+                (body.state.position, body.state.rotation) = (position, turned);
+                continue;
+            }
             let (position, turned) = body.half;
             body.state.position = position + 0.5 * dt * body.state.velocity;
             let before = body.state.spin;
@@ -448,6 +465,8 @@ impl<const D: usize> Body<D> {
             radius,
             origin: (centre, Matrix3::identity()),
             half: (centre, Matrix3::identity()),
+            start: (Point::zeros(), Point::zeros()),
+            touching: None,
         };
         if let Motion::Prescribed(rows) = &body.motion {
             let [velocity, spin] = prescribed(rows, 0.0);

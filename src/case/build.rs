@@ -4,6 +4,7 @@ use super::{
     BlockForm, BodyMotion, CaseFile, Coupling, DiffusionKind, FluidBlock, Probe, SchemeKind, SchemeParams,
     Side, SourceKind, axes,
 };
+use crate::bodies::contact::Surroundings;
 use crate::bodies::friction::Friction;
 use crate::bodies::{Bodies, Motion, Plan};
 use crate::boundary::repulsion::Repulsion;
@@ -54,6 +55,8 @@ pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
         let strong = case.scheme.coupling == Coupling::Strong;
         let cells = lattice.bodies(layers);
         params.bodies = Bodies::new(body_plans(case), cells, &particles, case.spacing, strong);
+        // Thicker than anything gets into them in a step.
+        params.bodies.set_surroundings(Surroundings::of(&lattice.enclosure(), 1.0));
         params.bodies.place(&mut particles, true);
     }
     jitter(&mut particles, case.scheme.jitter * case.spacing, case.seed);
