@@ -189,6 +189,26 @@ fn a_resumed_run_with_bodies_is_the_uninterrupted_run() {
     resumed_is_uninterrupted("debris --spacing 0.02");
 }
 
+/// A cylinder let go under water: its first acceleration is that of its added mass.
+#[test]
+fn a_submerged_cylinder_starts_with_its_added_mass() {
+    let folder = folder();
+    let text = "name = \"cylinder\"\ndimension = 2\nspacing = 0.01\n[[fluid.block]]\nmin = [0, 0]\nmax = [1, 1]\n\
+                [tank]\nmin = [0, 0]\nmax = [1, 1.1]\nopen = [\"top\"]\n[[body]]\nname = \"c\"\nshape = \"sphere\"\n\
+                centre = [0.5, 0.5]\nradius = 0.08\ndensity = 1\nimmersed = true\nmotion = \"free\"\n[time]\nuntil = 2e-3\n\
+                step = 5e-4\n[output]\ngauges = 0\n";
+    fs::write(folder.path().join("c.toml"), text).unwrap();
+    // In the middle of a vessel that reaches about six radii: C = 1.05.
+    for density in [1.0_f64, 100.0, 500.0] {
+        done(&folder, &format!("c.toml --threads 1 --set body.density={density} --out {density}"));
+        let table = folder.path().join(density.to_string()).join("bodies.csv");
+        let found: f64 = column(&table, "c_ay_m_per_s2")[1].parse().unwrap();
+        let expected = 9.81 * (1000.0 - density) / (density + 1.05 * 1000.0);
+        // The outline has steps of a cell, an eighth of the radius.
+        assert!((found / expected - 1.0).abs() < 0.06, "{density} kg/m3: {found} instead of {expected} m/s2");
+    }
+}
+
 /// The paper's Eq. (5) from what is logged of a sliding box, and the regimes of friction.
 #[test]
 fn the_motion_of_a_box_follows_from_the_logged_forces() {

@@ -12,8 +12,9 @@
 //! solved by Newton's method. *Explicit* coupling takes Y = 0: dummies feel the acceleration of the last step, and the liquid
 //! at a light body answers to it in the next step, with the wrong sign and more of it.
 //!
-//! **A check.** A body of density rho_b, held in a closed vessel of liquid that is pushed as a whole, and a body in liquid that fills
-//! all space, have known added masses: a circular cylinder rho V, a sphere rho V / 2.
+//! **Exact solution.** A circular cylinder of density rho_b that is let go in liquid of density rho at rest carries the added mass
+//! rho V far from everything, rho V (b^2 + r^2) / (b^2 - r^2) in the middle of a round vessel of radius b (Lamb 1932, art. 68): it
+//! starts with the acceleration g (rho - rho_b) / (rho_b + C rho), C = 1 or that factor. A light one rises at almost g.
 //!
 //! **Covered faces**, those that lie on another solid, are dry in (1) unless liquid seeps under the body: then they carry the
 //! mean pressure of the wet rim of the covered patch, dry parts of the rim counting as 0; see [`super::friction`].
@@ -152,7 +153,7 @@ impl<const D: usize> Bodies<D> {
         }
         let area = self.spacing.powi(D as i32 - 1);
         let is_wet = |a: usize| flow.active.get(a).copied().unwrap_or(false);
-        for (b, body) in self.list.iter().enumerate().filter(|(_, body)| body.motion != Motion::Fixed) {
+        for (b, body) in self.list.iter().enumerate() {
             let centre = restrict::<D>(&body.state.position);
             let wall_of = |member: u32| body.members[member as usize].particle as usize;
             let mut add = |wall: usize, normal: &Point, push: [f64; 6]| {

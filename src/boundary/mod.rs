@@ -37,8 +37,8 @@ pub struct DummyWalls<const D: usize> {
 }
 
 /// A wall particle whose solids leave less of its kernel sum open than this is covered and never wet. In the corner of a tank in 3D
-/// the one open octant amounts to 0.006.
-const COVERED: f64 = 1e-3;
+/// the one open octant amounts to 0.006 at h / dx = 1.2 and to 0.0006 at 1.
+const COVERED: f64 = 1e-4;
 
 impl<const D: usize> DummyWalls<D> {
     /// Measures the open support of each wall particle; `solids` are the neighbours of solids among themselves.

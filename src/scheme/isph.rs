@@ -305,7 +305,7 @@ impl<const D: usize> Isph<D> {
     /// Bodies at the drifted positions, and the accelerations that the pressure starts from.
     fn depart(&mut self, particles: &mut Particles<D>, dt: f64) {
         let Self { afloat, walls, params, .. } = self;
-        if afloat.bodies.can_move() {
+        if !afloat.bodies.is_empty() {
             afloat.bodies.foresee(dt);
             afloat.bodies.depart(dt, 0.5 * dt);
             afloat.bodies.place(particles, false);
@@ -321,7 +321,7 @@ impl<const D: usize> Isph<D> {
         mut record: SolveRecord,
     ) -> Result<SolveRecord> {
         let Self { afloat, assembler, solver, answers, .. } = self;
-        if !afloat.bodies.can_move() {
+        if afloat.bodies.is_empty() {
             return Ok(record);
         }
         let strong = afloat.bodies.strong;
@@ -373,7 +373,7 @@ impl<const D: usize> Isph<D> {
 
     /// Bodies where the step takes them.
     fn arrive(&mut self, particles: &mut Particles<D>, dt: f64) {
-        if self.afloat.bodies.can_move() {
+        if !self.afloat.bodies.is_empty() {
             self.afloat.bodies.arrive(dt);
             self.afloat.bodies.place(particles, true);
         }

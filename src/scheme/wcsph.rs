@@ -512,7 +512,7 @@ impl<const D: usize> Wcsph<D> {
 
     /// New velocities of bodies, from the forces in the middle of the step.
     fn move_bodies(&mut self, particles: &mut Particles<D>, dt: f64) {
-        if !self.afloat.bodies.can_move() {
+        if self.afloat.bodies.is_empty() {
             return;
         }
         self.push_walls(particles);
@@ -566,7 +566,7 @@ impl<const D: usize> Wcsph<D> {
     /// Bodies in the middle of the step; dummies feel their last accelerations.
     fn depart(&mut self, particles: &mut Particles<D>, dt: f64) {
         let Self { afloat, walls, params, .. } = self;
-        if afloat.bodies.can_move() {
+        if !afloat.bodies.is_empty() {
             afloat.bodies.foresee(dt);
             afloat.bodies.depart(dt, 0.0);
             afloat.bodies.place(particles, false);
@@ -700,7 +700,7 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
             watch.time("shift", || self.shift(particles, dt));
         }
         drift(particles, 0.5 * dt);
-        if self.afloat.bodies.can_move() {
+        if !self.afloat.bodies.is_empty() {
             self.afloat.bodies.arrive(dt);
             self.afloat.bodies.place(particles, true);
         }
