@@ -170,6 +170,12 @@ impl<const D: usize> Particles<D> {
         self.position.is_empty()
     }
 
+    /// Normal of a wall particle of a flat wall across an axis; none for other solids, at edges and corners, and on turned bodies.
+    pub fn flat_normal(&self, b: usize) -> Option<&Vector<D>> {
+        let normal = self.walls().contains(&b).then(|| &self.normal[b]);
+        normal.filter(|normal| normal.iter().any(|n| n.abs() > 1.0 - 1e-9))
+    }
+
     /// Index range of wall particles.
     pub fn walls(&self) -> Range<usize> {
         0..self.walls

@@ -11,8 +11,9 @@
 //! wall acts on the liquid: no mass, no pressure, no friction.
 //!
 //! **Smooth floors.** The products add up to 1 over the particles of a flat wall, so that liquid which glides along it feels no
-//! lattice. With Monaghan's central forces, along r_ab in place of n, it rolls over a row of humps as high as its own distance: a friction that
-//! nobody asked for. A particle without a normal, in a plate one cell thick, keeps that form.
+//! lattice. Monaghan's central forces, (1) with the direction of r_ab for n and r_ab for y, let it roll over a row of humps: a friction
+//! that nobody asked for. Those stay for the particles of edges and corners, whose normals are oblique: their planes cut through
+//! the liquid beside them. So they do for walls that are turned, whose lattice (1) does not know.
 
 use crate::particles::Vector;
 
@@ -34,21 +35,18 @@ impl Repulsion {
         Self { strength: 5.0 * (gravity * depth + 0.5 * speed * speed), reach: reach * spacing, spacing }
     }
 
-    /// Eq. (1) in m/s2 on liquid at r_ab from a wall particle with a unit normal, or none.
+    /// Eq. (1) in m/s2 on liquid at r_ab from a wall particle with the normal of a flat wall, or none.
     #[inline]
-    pub fn of<const D: usize>(&self, r_ab: &Vector<D>, normal: &Vector<D>) -> Vector<D> {
-        let mut y = r_ab.dot(normal);
-        let (mut direction, mut share) = (*normal, 1.0);
-        if normal.norm_squared() == 0.0 {
-            y = r_ab.norm();
-            direction = r_ab / y;
-        }
+    pub fn of<const D: usize>(&self, r_ab: &Vector<D>, normal: Option<&Vector<D>>) -> Vector<D> {
+        let (y, direction) = match normal {
+            Some(normal) => (r_ab.dot(normal), *normal),
+            None => (r_ab.norm(), r_ab.normalize()),
+        };
         if y >= self.reach || y <= 0.0 {
             return Vector::zeros();
         }
-        for t in (r_ab - y * direction).iter() {
-            share *= (1.0 - t.abs() / self.spacing).max(0.0);
-        }
+        let aside = r_ab - y * direction;
+        let share: f64 = aside.iter().map(|t| (1.0 - t.abs() / self.spacing).max(0.0)).product();
         let ratio = (self.reach / y).powi(2);
         share * self.strength * (ratio * ratio - ratio) / y * direction
     }
@@ -62,11 +60,11 @@ mod tests {
     fn walls_push_within_their_reach_only() {
         let (wall, up) = (Repulsion::new(9.81, 0.4, 0.0, 0.01, 1.0), Vector::<2>::new(0.0, 1.0));
         assert!((wall.strength - 19.62).abs() < 1e-12);
-        assert_eq!(wall.of(&Vector::<2>::new(0.0, 0.01), &up).norm(), 0.0);
-        assert_eq!(wall.of(&Vector::<2>::new(0.01, 0.005), &up).norm(), 0.0);
+        assert_eq!(wall.of(&Vector::<2>::new(0.0, 0.01), Some(&up)).norm(), 0.0);
+        assert_eq!(wall.of(&Vector::<2>::new(0.01, 0.005), Some(&up)).norm(), 0.0);
         // (2^4 - 2^2) K / y at half the reach
-        for normal in [up, Vector::zeros()] {
-            let f = wall.of(&Vector::<2>::new(0.0, 0.005), &normal);
+        for normal in [Some(&up), None] {
+            let f = wall.of(&Vector::<2>::new(0.0, 0.005), normal);
             assert!((f.y - 12.0 * 19.62 / 0.005).abs() < 1e-8 && f.x == 0.0);
         }
     }
@@ -77,7 +75,7 @@ mod tests {
         let up = Vector::<3>::new(0.0, 0.0, 1.0);
         let force = |x: f64, y: f64| -> Vector<3> {
             let sites = (-3..4).flat_map(|i| (-3..4).map(move |j| (f64::from(i), f64::from(j))));
-            sites.map(|(i, j)| wall.of(&Vector::<3>::new(x - 0.01 * i, y - 0.01 * j, 0.007), &up)).sum()
+            sites.map(|(i, j)| wall.of(&Vector::<3>::new(x - 0.01 * i, y - 0.01 * j, 0.007), Some(&up))).sum()
         };
         let expected = force(0.0, 0.0);
         assert!(expected.z > 0.0);

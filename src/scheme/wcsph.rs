@@ -422,7 +422,8 @@ impl<const D: usize> Wcsph<D> {
                     rates.filling -= if self.wet[b] { f * r_ab.norm_squared() } else { 0.0 };
                     let original = particles.original(b);
                     if original < walls {
-                        rates.acceleration += self.method.repulsion.of(&r_ab, &particles.normal[original]);
+                        rates.acceleration +=
+                            self.method.repulsion.of(&r_ab, particles.flat_normal(original));
                     }
                 }
                 *surface = surface::weight_at::<D>(self.params.volume() * rates.filling);
@@ -605,11 +606,11 @@ impl<const D: usize> Wcsph<D> {
     /// The reaction to repulsive walls.
     fn push_walls(&mut self, particles: &Particles<D>) {
         let (mass, repulsion) = (self.params.mass(), self.method.repulsion);
-        let (neighbors, position, normal) = (&self.neighbors, &particles.position, &particles.normal);
+        let (neighbors, position) = (&self.neighbors, &particles.position);
         self.wall_force.resize(particles.walls().len(), Vector::zeros());
         self.wall_force.par_iter_mut().enumerate().with_min_len(512).for_each(|(w, force)| {
             let liquid = neighbors.row(w).index.iter().map(|&f| f as usize);
-            let push = |f: usize| repulsion.of(&(position[f] - position[w]), &normal[w]);
+            let push = |f: usize| repulsion.of(&(position[f] - position[w]), particles.flat_normal(w));
             *force = -mass * liquid.map(push).sum::<Vector<D>>();
         });
     }

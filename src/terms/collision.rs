@@ -3,7 +3,8 @@
 //! In spray and at impact the pressure alone cannot keep single particles apart. A pair closer than the collision
 //! distance that still approaches exchanges an impulse along its line of centres with restitution e, so that its
 //! relative normal velocity becomes -e times itself: momentum is conserved and energy never grows. Walls have
-//! infinite mass. Pairs are treated one after the other in a fixed order, those across ranks first and at once.
+//! infinite mass, and flat ones take the impulse along their normal: along the line of centres a film would stumble over the
+//! particles of the floor it glides on. Pairs are treated one after the other in a fixed order, those across ranks first and at once.
 //!
 //! Between the particles of a wall a single drop on a dry floor would still slip through, as nothing but a collision stops it
 //! there. So a particle that has got behind the face of a wall is put back on it and rebounds.
@@ -43,8 +44,12 @@ impl Collisions {
         pairs.clear();
         pairs.par_extend(fluid.into_par_iter().with_min_len(256).flat_map_iter(close));
         let impulse = |particles: &Particles<D>, a: usize, b: usize| -> Option<Vector<D>> {
-            let normal = (particles.position[a] - particles.position[b]).try_normalize(0.0)?;
-            let v_ab = particles.velocity[a] - particles.velocity[particles.original(b)];
+            let original = particles.original(b);
+            let normal = match particles.flat_normal(original) {
+                Some(normal) => *normal,
+                None => (particles.position[a] - particles.position[b]).try_normalize(0.0)?,
+            };
+            let v_ab = particles.velocity[a] - particles.velocity[original];
             let approach = v_ab.dot(&normal);
             (approach < 0.0).then(|| -(1.0 + self.restitution) * approach * normal)
         };
