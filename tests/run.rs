@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 mod common;
 
-use common::{command, done, refused, run, sentence, stderr, stdout};
+use common::{command, done, refused, run, sentence};
 use serde_json::Value;
 use sphpetsc::output::checkpoint::{self, Reader};
 use tempfile::TempDir;

@@ -123,8 +123,8 @@ struct Source {
     /// For titles, and for the line to paste.
     name: String,
     folder: PathBuf,
-    /// The run that is to be done for them, and the names of its instants; none: the files are there.
-    run: Option<(RunArgs, CaseFile, Vec<(String, f64)>)>,
+    /// The run that is to be done for them; none: the files are there.
+    run: Option<RunArgs>,
     files: Vec<PathBuf>,
 }
 
@@ -160,10 +160,10 @@ impl Source {
             )));
         }
         let instants = instants(args, &case)?;
-        let last = instants.iter().map(|(_, time)| *time).fold(0.0, f64::max);
+        let last = instants.iter().copied().fold(0.0, f64::max);
         run.common.until = Some(last.max(1e-9));
         run.common.set.push(("output.particles".into(), "0".into()));
-        run.save_systems = instants.iter().map(|(_, time)| *time).collect();
+        run.save_systems = instants;
         let case = run.load_case()?;
         let folder =
             args.out.clone().unwrap_or_else(|| Path::new("out").join(format!("{}-solvers", case.name)));
@@ -171,7 +171,7 @@ impl Source {
         let run = run::left_to_do(run, &case, &folder.join("run"), args.force)?;
         let files = vec![];
         Ok(match run {
-            Some(run) => Self { name, folder, run: Some((run, case, instants)), files },
+            Some(run) => Self { name, folder, run: Some(run), files },
             None => Self { name, run: None, files: saved_files(&folder.join("run/systems"))?, folder },
         })
     }
@@ -179,7 +179,7 @@ impl Source {
     /// Does the run, if need be, and finds what it saved.
     fn systems(&self, args: &SolversArgs, child: &Child) -> Result<Vec<System>> {
         let mut files = self.files.clone();
-        if let Some((run, ..)) = &self.run {
+        if let Some(run) = &self.run {
             log::info!("a run until {} s for the pressure systems", run.common.until.unwrap_or_default());
             let ended = child.run(&run.tokens())?;
             if !ended.success() {
@@ -199,8 +199,8 @@ impl Source {
     }
 }
 
-/// Names and times in s of the instants to look at, ascending.
-fn instants(args: &SolversArgs, case: &CaseFile) -> Result<Vec<(String, f64)>> {
+/// The instants to look at in s, ascending.
+fn instants(args: &SolversArgs, case: &CaseFile) -> Result<Vec<f64>> {
     if let Some(late) = args.at.iter().find(|time| **time > case.time.until) {
         return Err(Error::Input(format!(
             "--at names {late:?} s, after the end at {:?} s: leave it out or raise --until",
@@ -219,7 +219,7 @@ fn instants(args: &SolversArgs, case: &CaseFile) -> Result<Vec<(String, f64)>> {
     }
     times.sort_by(f64::total_cmp);
     times.dedup();
-    Ok(times.into_iter().map(|time| (format!("t{time}"), time)).collect())
+    Ok(times)
 }
 
 /// sqrt(H / |g|) in s; infinite without gravity.
