@@ -5,7 +5,7 @@
 //! there, without its fallbacks: a set that diverges, breaks or takes too long is a row like any other.
 //!
 //! **Measures.** Times are those of one solve, set-up with all its matrices included since the matrix changes with every step;
-//! the fastest of up to three. The residual is |b - A p| / |b|, computed afresh. The pressure error is |p - p_direct| / |p_direct|
+//! the fastest of several. The residual is |b - A p| / |b|, computed afresh. The pressure error is |p - p_direct| / |p_direct|
 //! in the Euclidean norm, with p_direct by MUMPS, or where that runs out of time by an iteration to 1e-12. The divergence left is
 //! dt rms(b - A p): the operator is the divergence of the correction, so what the equation misses is what the
 //! corrected velocity keeps of it. Memory is the largest of the program beyond PETSc's start.

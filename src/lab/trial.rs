@@ -136,16 +136,18 @@ fn solve(
         (row.inner_iterations, row.complexity) = (record.inner_iterations, trial.complexity);
         pressure = trial.pressure;
         spent += total;
-        if spent > LONG {
+        if spent > LONG || (pass >= 2 && spent > ENOUGH) {
             break;
         }
     }
     Ok(pressure)
 }
 
-/// Most solves of one system, and the time in s after which none is added.
+/// Most solves of one system, and the times in s after which none is added to three, and none at all.
 #[cfg(feature = "petsc")]
-const PASSES: usize = 3;
+const PASSES: usize = 20;
+#[cfg(feature = "petsc")]
+const ENOUGH: f64 = 0.3;
 #[cfg(feature = "petsc")]
 const LONG: f64 = 2.0;
 
