@@ -45,31 +45,45 @@ pub struct CellList<const D: usize> {
     start: Vec<u32>,
     /// Particle numbers, cell by cell.
     sorted: Vec<u32>,
-    /// Their positions, in the same order.
-    position: Vec<Vector<D>>,
+    /// Their positions in the same order, an axis each.
+    position: Axes<D>,
     cell_of: Vec<u32>,
+}
+
+/// Positions, an array an axis: distances to a run of them are computed several at a time.
+#[derive(Debug, Clone)]
+struct Axes<const D: usize>([Vec<f64>; D]);
+
+impl<const D: usize> Default for Axes<D> {
+    fn default() -> Self {
+        Self(std::array::from_fn(|_| vec![]))
+    }
 }
 
 /// Where cells lie: shared by all cell lists of one search.
 #[derive(Debug, Clone, Copy)]
 struct Grid<const D: usize> {
     min: Vector<D>,
-    inverse_width: f64,
+    inverse_width: [f64; D],
     extent: [usize; D],
     /// How many cells on each side of a particle's own hold its neighbours.
-    reach: usize,
+    reach: [usize; D],
 }
+
+/// Cells to a support along the last axis, where they cost nothing: those that a particle looks at are one run in memory.
+/// A run is then 2.25 supports long; with 2 to a support it is 2.5, with 8 it is 2.125.
+const SLICES: usize = 4;
 
 impl<const D: usize> Default for Grid<D> {
     fn default() -> Self {
-        Self { min: Vector::zeros(), inverse_width: 0.0, extent: [1; D], reach: 1 }
+        Self { min: Vector::zeros(), inverse_width: [0.0; D], extent: [1; D], reach: [1; D] }
     }
 }
 
 impl<const D: usize> Grid<D> {
-    /// Covers `positions`, with cells of half a `support`: in 3D two cells to each side hold 216 spacings^3 of candidates
-    /// at h = 1.2 dx, where one cell of a whole support to each side holds 373. They are doubled until there are at most four a particle: a few particles
-    /// far away must not cost memory.
+    /// Covers `positions`, with cells of a `support` across and a slice of it along the last axis. Narrower ones would leave
+    /// fewer candidates, but runs so short that starting each costs more than it saves. Cells are doubled until there are at
+    /// most four a particle: a few particles far away must not cost memory.
     fn covering(positions: &[Vector<D>], support: f64) -> Self {
         let mut min: Vector<D> = Vector::repeat(f64::INFINITY);
         let mut max: Vector<D> = Vector::repeat(f64::NEG_INFINITY);
@@ -81,17 +95,21 @@ impl<const D: usize> Grid<D> {
             (min, max) = (Vector::zeros(), Vector::zeros());
         }
         let cells = |d: usize, width: f64| ((max[d] - min[d]) / width).floor() + 1.0;
-        let (mut width, mut reach) = (0.5 * support, 2);
-        while (0..D).map(|d| cells(d, width)).product::<f64>() > 4.0 * positions.len() as f64 + 64.0 {
-            (width, reach) = (2.0 * width, 1);
+        let mut reach = [1; D];
+        reach[D - 1] = SLICES;
+        let mut width = reach.map(|reach| support / reach as f64);
+        let count = |width: &[f64; D]| (0..D).map(|d| cells(d, width[d])).product::<f64>();
+        while count(&width) > 4.0 * positions.len() as f64 + 64.0 {
+            width = width.map(|width| 2.0 * width);
+            reach = reach.map(|reach| reach.div_ceil(2));
         }
-        let extent = std::array::from_fn(|d| (cells(d, width) as usize).max(1));
-        Self { min, inverse_width: 1.0 / width, extent, reach }
+        let extent = std::array::from_fn(|d| (cells(d, width[d]) as usize).max(1));
+        Self { min, inverse_width: width.map(f64::recip), extent, reach }
     }
 
     fn coordinates(&self, r: &Vector<D>) -> [usize; D] {
         std::array::from_fn(|d| {
-            (((r[d] - self.min[d]) * self.inverse_width) as usize).min(self.extent[d] - 1)
+            (((r[d] - self.min[d]) * self.inverse_width[d]) as usize).min(self.extent[d] - 1)
         })
     }
 
@@ -126,18 +144,20 @@ impl<const D: usize> CellList<D> {
         }
         self.start.copy_within(0..cells, 1);
         self.start[0] = 0;
-        self.position.clear();
-        self.position.extend(self.sorted.iter().map(|&a| position[a as usize]));
+        for (d, axis) in self.position.0.iter_mut().enumerate() {
+            axis.clear();
+            axis.extend(self.sorted.iter().map(|&a| position[a as usize][d]));
+        }
     }
 
     /// Calls `visit` with each run of particle numbers and positions in the cells around `r`. Cells adjacent along the
-    /// last axis are adjacent in memory, so a run spans up to five of them.
+    /// last axis are adjacent in memory, so a run spans all of them.
     #[inline]
-    fn around(&self, r: &Vector<D>, mut visit: impl FnMut(&[u32], &[Vector<D>])) {
+    fn around(&self, r: &Vector<D>, mut visit: impl FnMut(&[u32], [&[f64]; D])) {
         let Grid { extent, reach, .. } = self.grid;
         let at = self.grid.coordinates(r);
-        let low: [usize; D] = std::array::from_fn(|d| at[d].saturating_sub(reach));
-        let high: [usize; D] = std::array::from_fn(|d| (at[d] + reach).min(extent[d] - 1));
+        let low: [usize; D] = std::array::from_fn(|d| at[d].saturating_sub(reach[d]));
+        let high: [usize; D] = std::array::from_fn(|d| (at[d] + reach[d]).min(extent[d] - 1));
         let last = D - 1;
         let mut cell = low;
         loop {
@@ -145,7 +165,7 @@ impl<const D: usize> CellList<D> {
             let base = row * extent[last];
             let run = self.start[base + low[last]] as usize..self.start[base + high[last] + 1] as usize;
             if !run.is_empty() {
-                visit(&self.sorted[run.clone()], &self.position[run]);
+                visit(&self.sorted[run.clone()], self.position.0.each_ref().map(|axis| &axis[run.clone()]));
             }
             // Next row of cells: an odometer over all axes but the last.
             let Some(d) = (0..last).rev().find(|&d| cell[d] < high[d]) else { return };
@@ -199,7 +219,7 @@ impl Chunk {
         &mut self,
         end: usize,
         (a, r_a): (usize, &Vector<D>),
-        (run, position): (&[u32], &[Vector<D>]),
+        (run, position): (&[u32], [&[f64]; D]),
         limit: f64,
     ) -> usize {
         if self.index.len() < end + run.len() {
@@ -210,10 +230,14 @@ impl Chunk {
         }
         let room = end..end + run.len();
         let (index, squares) = (&mut self.index[room.clone()], &mut self.kernel[room]);
+        let position = position.map(|x| &x[..squares.len()]);
+        for (k, square) in squares.iter_mut().enumerate() {
+            *square = (0..D).map(|d| (r_a[d] - position[d][k]) * (r_a[d] - position[d][k])).sum();
+        }
         let mut found = 0;
-        for (&b, r_b) in run.iter().zip(position) {
+        for (k, &b) in run.iter().enumerate() {
             // Written in any case and kept by counting on: a branch here is mispredicted too often.
-            let square = (r_a - r_b).norm_squared();
+            let square = squares[k];
             (index[found], squares[found]) = (b, square);
             found += usize::from(square < limit) & usize::from(b as usize != a);
         }
@@ -230,6 +254,9 @@ impl Chunk {
 }
 
 const CHUNK: usize = 512;
+
+/// Neighbours in a block of [`Row::blocks`]: two vectors of the widest registers.
+pub const LANES: usize = 8;
 
 impl<const D: usize> Neighbors<D> {
     /// [`update`](Self::update) with the kernel of a kind and smoothing length `h` in m: the choice is made once a search.
@@ -345,6 +372,21 @@ impl<'a> Row<'a> {
             liquid,
         };
         (part(0..self.liquid, self.liquid), part(self.liquid..self.index.len(), 0))
+    }
+
+    /// The neighbours by blocks of [`LANES`], as (b, F_ab): loops over the lanes of a block run on vector registers. The last
+    /// block is filled up with its first neighbour and F = 0.
+    #[inline]
+    pub fn blocks(self) -> impl Iterator<Item = ([u32; LANES], [f64; LANES])> + 'a {
+        let (index, rest) = self.index.as_chunks();
+        let (gradient, weights) = self.gradient.as_chunks();
+        let last = rest.first().map(|&first| {
+            let (mut index, mut gradient) = ([first; LANES], [0.0; LANES]);
+            index[..rest.len()].copy_from_slice(rest);
+            gradient[..weights.len()].copy_from_slice(weights);
+            (index, gradient)
+        });
+        index.iter().copied().zip(gradient.iter().copied()).chain(last)
     }
 
     /// (b, W_ab, F_ab) of each neighbour.

@@ -22,7 +22,7 @@ use crate::ppe::PressureSolve;
 use crate::report::Report;
 use crate::scheme::isph::Isph;
 use crate::scheme::wcsph::Wcsph;
-use crate::scheme::{Scheme, StepReport};
+use crate::scheme::{Scheme, StepReport, logged};
 use crate::simulation::{Observer, Simulation, StepControl};
 use crate::{Error, Result, patch_test};
 
@@ -201,7 +201,7 @@ impl<'a, const D: usize> Run<'a, D> {
     fn time_loop(&mut self) -> Result<()> {
         while self.simulation.time < self.case.time.until {
             let report = self.simulation.advance().inspect_err(|_| self.keep_failed_system())?;
-            self.observe(&report)?;
+            logged("output", || self.observe(&report))?;
             if self.case.output.checkpoint > 0.0 && self.simulation.time >= self.next_checkpoint {
                 self.next_checkpoint += self.case.output.checkpoint;
                 self.save()?;

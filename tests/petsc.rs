@@ -8,7 +8,7 @@ use std::rc::Rc;
 use std::time::Instant;
 
 use sphpetsc::Error;
-use sphpetsc::petsc::{Ksp, LogStage, Matrix, Session, Tolerances, Vector};
+use sphpetsc::petsc::{Ksp, Matrix, Session, Tolerances, Vector, stage};
 use sphpetsc::ppe::solve::PressureSolver;
 use sphpetsc::ppe::{PressureSolve, PressureSystem, Rows};
 
@@ -455,10 +455,9 @@ fn handles_drop_in_any_order() {
         .unwrap();
     ksp.set_from_options().unwrap();
     ksp.set_operators(&matrix, &matrix).unwrap();
-    let stage = LogStage::register(&session, "pressure").unwrap();
     drop(session);
     drop(matrix);
-    let report = stage.run(|| ksp.solve(&b, &mut x)).unwrap();
+    let report = stage("pressure", || ksp.solve(&b, &mut x)).unwrap();
     assert!(report.converged && report.reason == "CONVERGED_RTOL", "{report:?}");
     drop(b);
     drop(ksp);

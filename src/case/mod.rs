@@ -267,6 +267,8 @@ pub struct SchemeParams {
     pub density_diffusion: DiffusionKind,
     /// Coefficient delta of the density diffusion (`wcsph`).
     pub density_diffusion_coefficient: f64,
+    /// Coefficient chi of the acoustic damper (`wcsph`); 0 leaves it out.
+    pub acoustic_damper: f64,
     /// How a time step is composed (`wcsph`).
     pub stepping: Stepping,
     /// Right-hand side of the pressure equation (ISPH).
@@ -303,6 +305,7 @@ impl SchemeParams {
             artificial_viscosity: if kind == SchemeKind::WcsphMonaghan { 0.1 } else { 0.02 },
             density_diffusion: DiffusionKind::Fourtakas,
             density_diffusion_coefficient: 0.1,
+            acoustic_damper: 0.5,
             stepping: Stepping::Symplectic,
             source: match kind {
                 SchemeKind::IsphDi => SourceKind::DensityInvariant,

@@ -648,6 +648,7 @@ fn read_scheme(r: &Reader) -> SchemeParams {
         density_diffusion_coefficient: r
             .number("density_diffusion_coefficient", Range::Within(0.0, 1.0), "")
             .or(default.density_diffusion_coefficient),
+        acoustic_damper: r.number("acoustic_damper", Range::Within(0.0, 2.0), "").or(default.acoustic_damper),
         stepping: r.variant("stepping").or(default.stepping),
         source: r.variant("source").or(default.source),
         density_relaxation: r

@@ -138,7 +138,7 @@ impl<'a> References<'a> {
             return Ok(Comparison { missing, ..Comparison::default() });
         }
         let files = TABLES.map(|name| folder.join(name)).into_iter().filter(|file| file.exists());
-        let tables = files.map(|file| Columns::read(&file)).collect::<Result<Vec<_>>>()?;
+        let tables = files.map(|file| Columns::read(&file, 0.0)).collect::<Result<Vec<_>>>()?;
         let run_of = |quantity: &str| -> Result<Vec<Point>> {
             let found = tables.iter().find_map(|t| Some((t, column_of(quantity, t.names())?)));
             found.map_or(Ok(vec![]), |(table, name)| table.pairs("time_s", name))
@@ -176,7 +176,7 @@ pub fn differences(run: &Path, other: &Path) -> Result<Vec<(String, f64)>> {
         if !files.iter().all(|file| file.exists()) {
             continue;
         }
-        let [own, theirs] = [Columns::read(&files[0])?, Columns::read(&files[1])?];
+        let [own, theirs] = [Columns::read(&files[0], 0.0)?, Columns::read(&files[1], 0.0)?];
         let is_wanted = |name: &&str| {
             let known = table != TABLES[0] || HISTORY.contains(name);
             *name != "time_s" && known && own.columns.contains_key(*name)
@@ -202,7 +202,7 @@ fn reached(series: &[Point], level: f64) -> Option<f64> {
 
 impl<'a> Series<'a> {
     fn read(reference: &'a Reference, file: &Path) -> Result<Self> {
-        let pairs = Columns::read(file)?.pairs(&reference.time_column, &reference.value_column)?;
+        let pairs = Columns::read(file, 0.0)?.pairs(&reference.time_column, &reference.value_column)?;
         let mut data: Vec<_> = pairs
             .into_iter()
             .filter(|(_, value)| reference.value_min.is_none_or(|least| *value >= least))
@@ -333,14 +333,15 @@ fn running_mean(values: &[f64], window: f64) -> Vec<f64> {
     values.iter().enumerate().map(mean).collect()
 }
 
-/// A CSV file by columns; `dry` counts as 0, other words as NaN.
+/// A CSV file by columns; words are NaN.
 pub(super) struct Columns {
     file: String,
     columns: BTreeMap<String, Vec<f64>>,
 }
 
 impl Columns {
-    pub fn read(path: &Path) -> Result<Self> {
+    /// Reads `path`, with the number `dry` where a gauge was: 0 to compare with, NaN for a gap in a curve.
+    pub fn read(path: &Path, dry: f64) -> Result<Self> {
         let file = path.display().to_string();
         let text = std::fs::read_to_string(path).map_err(|error| {
             Error::Input(format!("{file}: cannot be read ({error}): check its path and contents"))
@@ -349,7 +350,7 @@ impl Columns {
         let names: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
         let mut columns: Vec<Vec<f64>> = vec![vec![]; names.len()];
         let number = |cell: &str| match cell.trim() {
-            DRY => 0.0,
+            DRY => dry,
             cell => cell.parse().unwrap_or(f64::NAN),
         };
         for line in lines {
@@ -505,7 +506,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("probes.csv");
         std::fs::write(&file, "time_s,h_m\n0.0,dry\n1.0,0.5\n2.0,?\n").unwrap();
-        let columns = Columns::read(&file).unwrap();
+        let columns = Columns::read(&file, 0.0).unwrap();
         assert_eq!(columns.pairs("time_s", "h_m").unwrap(), [(0.0, 0.0), (1.0, 0.5)]);
+        let curve = Columns::read(&file, f64::NAN).unwrap().rows("time_s", "h_m").unwrap();
+        assert!(curve[0].1.is_nan() && curve[1] == (1.0, 0.5), "a gap, not a zero: {curve:?}");
     }
 }

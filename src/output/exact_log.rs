@@ -63,7 +63,7 @@ impl<const D: usize> ExactLog<D> {
     /// Errors of all that the table holds, a resumed run's earlier part included.
     pub fn errors(&mut self) -> Result<Vec<ErrorMeasure>> {
         self.flush()?;
-        let columns = Columns::read(&self.path)?;
+        let columns = Columns::read(&self.path, f64::NAN)?;
         let pairs = |column: &str| -> Result<Vec<(f64, f64)>> {
             let (found, exact) = (columns.column(column)?, columns.column(&exact_column(column))?);
             Ok(found.iter().copied().zip(exact.iter().copied()).collect())

@@ -42,7 +42,7 @@ pub struct Profiles {
 /// # Errors
 /// [`Error::Input`] for a file or column that cannot be read.
 pub fn read(profile: &Profile, file: &Path) -> Result<Measured> {
-    let columns = Columns::read(file)?;
+    let columns = Columns::read(file, f64::NAN)?;
     let [time, x, height] =
         [&profile.time_column, &profile.x_column, &profile.height_column].map(|name| columns.column(name));
     let mut measured: Measured = vec![];
@@ -104,7 +104,7 @@ impl Profiles {
     /// One error for each time compared, and their rms.
     pub fn errors(&mut self) -> Result<Vec<ErrorMeasure>> {
         self.flush()?;
-        let columns = Columns::read(&self.path)?;
+        let columns = Columns::read(&self.path, f64::NAN)?;
         let [time, points, rms, largest] =
             ["measured_at_s", "points", "rms_m", "largest_m"].map(|name| columns.column(name));
         let (time, points, rms, largest) = (time?, points?, rms?, largest?);

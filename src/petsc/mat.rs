@@ -1,6 +1,7 @@
 //! Distributed sparse matrices and their null spaces.
 
 use std::mem::MaybeUninit;
+use std::ops::Range;
 use std::ptr;
 use std::rc::Rc;
 
@@ -19,6 +20,8 @@ pub struct Matrix {
 impl Matrix {
     /// Copies this rank's rows, given as compressed rows with global column numbers, in one go.
     ///
+    /// PETSc's own call for this inserts row by row; here it borrows the lists as they are and duplicates that.
+    ///
     /// # Errors
     /// [`Error::Run`] when the three lists do not describe rows of a square matrix.
     pub fn from_rows(session: &Rc<Session>, start: &[i32], column: &[i32], value: &[f64]) -> Result<Self> {
@@ -26,17 +29,47 @@ impl Matrix {
         // SAFETY: both numbers outlive the call; it only adds up `local` over the ranks.
         check(unsafe { ffi::PetscSplitOwnership(session.comm(), &raw mut local, &raw mut global) })?;
         check_rows(start, column, value, global)?;
-        let mut matrix = Self { raw: ptr::null_mut(), session: Rc::clone(session) };
-        // SAFETY: a new object is written to `raw`; `Drop` destroys it also when a later call fails.
-        // The lists were checked above; PETSc copies them. Of the two last calls the one that does
-        // not fit the type (one rank: "seqaij", several: "mpiaij") does nothing.
-        unsafe {
-            check(ffi::MatCreate(session.comm(), &raw mut matrix.raw))?;
-            check(ffi::MatSetSizes(matrix.raw, local, local, global, global))?;
-            check(ffi::MatSetType(matrix.raw, c"aij".as_ptr()))?;
+        let empty = || Self { raw: ptr::null_mut(), session: Rc::clone(session) };
+        let mut matrix = empty();
+        if session.size() == 1 {
+            let mut borrowed = empty();
             let (i, j, v) = (start.as_ptr(), column.as_ptr(), value.as_ptr());
-            check(ffi::MatSeqAIJSetPreallocationCSR(matrix.raw, i, j, v))?;
-            check(ffi::MatMPIAIJSetPreallocationCSR(matrix.raw, i, j, v))?;
+            // SAFETY: the lists were checked above; PETSc only reads them, as long as `borrowed` lives.
+            unsafe {
+                check(ffi::MatCreateSeqAIJWithArrays(
+                    session.comm(),
+                    local,
+                    local,
+                    i.cast_mut(),
+                    j.cast_mut(),
+                    v.cast_mut(),
+                    &raw mut borrowed.raw,
+                ))?;
+                check(ffi::MatDuplicate(borrowed.raw, ffi::MAT_COPY_VALUES, &raw mut matrix.raw))?;
+            }
+            return Ok(matrix);
+        }
+        let first = session.before(local);
+        let Split { mut own, mut others } = Split::new(first..first + local, start, column, value);
+        let mut borrowed = empty();
+        // SAFETY: both halves are sound since the lists are, and outlive `borrowed`, which renumbers the columns of
+        // `others` in place: declared after them, it goes first.
+        unsafe {
+            check(ffi::MatCreateMPIAIJWithSplitArrays(
+                session.comm(),
+                local,
+                local,
+                global,
+                global,
+                own.0.as_mut_ptr(),
+                own.1.as_mut_ptr(),
+                own.2.as_mut_ptr(),
+                others.0.as_mut_ptr(),
+                others.1.as_mut_ptr(),
+                others.2.as_mut_ptr(),
+                &raw mut borrowed.raw,
+            ))?;
+            check(ffi::MatDuplicate(borrowed.raw, ffi::MAT_COPY_VALUES, &raw mut matrix.raw))?;
         }
         Ok(matrix)
     }
@@ -115,6 +148,31 @@ impl Drop for Matrix {
     fn drop(&mut self) {
         // SAFETY: this handle's reference, released once; null is allowed.
         unsafe { ffi::MatDestroy(&raw mut self.raw) };
+    }
+}
+
+/// Rows cut into the columns of this rank, numbered from its first one, and those of others: starts, columns, values.
+struct Split {
+    own: (Vec<i32>, Vec<i32>, Vec<f64>),
+    others: (Vec<i32>, Vec<i32>, Vec<f64>),
+}
+
+impl Split {
+    fn new(mine: Range<i32>, start: &[i32], column: &[i32], value: &[f64]) -> Self {
+        let room = column.len();
+        let mut own = (vec![0], Vec::with_capacity(room), Vec::with_capacity(room));
+        let mut others = (vec![0], vec![], vec![]);
+        for row in start.windows(2) {
+            let row = row[0] as usize..row[1] as usize;
+            for (&c, &v) in column[row.clone()].iter().zip(&value[row]) {
+                let (half, c) = if mine.contains(&c) { (&mut own, c - mine.start) } else { (&mut others, c) };
+                half.1.push(c);
+                half.2.push(v);
+            }
+            own.0.push(own.1.len() as i32);
+            others.0.push(others.1.len() as i32);
+        }
+        Self { own, others }
     }
 }
 

@@ -24,7 +24,7 @@ mod vec;
 pub use ksp::{Ksp, SolveReport, Tolerances};
 pub use mat::{Matrix, NullSpace};
 pub use options::{Options, captured, nearest};
-pub use session::{LogStage, Session};
+pub use session::{Session, stage};
 pub use vec::{BinaryFile, Vector};
 
 // `Rows` of the crate are i32 and f64; PETSc takes them as they are.

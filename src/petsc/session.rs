@@ -1,7 +1,7 @@
 //! MPI and PETSc, started once and stopped in reverse.
 
+use std::cell::RefCell;
 use std::ffi::{CString, c_char, c_int};
-use std::marker::PhantomData;
 use std::ptr;
 use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -59,6 +59,7 @@ impl Session {
         // SAFETY: PETSc runs; both calls only fill the lists of known solver types.
         check(unsafe { ffi::KSPInitializePackage() }).and(check(unsafe { ffi::PCInitializePackage() }))?;
         let options = Options::snapshot()?;
+        STAGES.set(Some(vec![]));
         Ok(Rc::new(Self {
             options,
             world: SimpleCommunicator::world(),
@@ -94,6 +95,13 @@ impl Session {
         any
     }
 
+    /// The sum of `local` over the ranks before this one.
+    pub(super) fn before(&self, local: i32) -> i32 {
+        let mut upto = 0;
+        self.world.scan_into(&local, &mut upto, SystemOperation::sum());
+        upto - local
+    }
+
     /// The communicator of all ranks as PETSc takes it (rsmpi and PETSc share one MPI).
     pub(super) fn comm(&self) -> MPI_Comm {
         self.world.as_raw()
@@ -102,6 +110,7 @@ impl Session {
 
 impl Drop for Session {
     fn drop(&mut self) {
+        STAGES.set(None);
         // SAFETY: PETSc runs and no handle is left, since each holds an `Rc` of this session.
         // An error here has nobody to handle it.
         unsafe { ffi::PetscFinalize() };
@@ -120,30 +129,34 @@ impl Arguments {
     }
 }
 
-/// A named part of the run in the table of `-log_view`.
-pub struct LogStage {
-    id: ffi::PetscLogStage,
-    _session: Rc<Session>,
-    _one_thread: PhantomData<*const ()>,
+thread_local! {
+    /// The stages registered so far, by name, while PETSc runs on this thread.
+    static STAGES: RefCell<Option<Vec<(&'static str, ffi::PetscLogStage)>>> = const { RefCell::new(None) };
 }
 
-impl LogStage {
-    /// Registers a stage; the name appears in `-log_view`.
-    pub fn register(session: &Rc<Session>, name: &str) -> Result<Self> {
-        let name = c_string(name)?;
-        let mut id = 0;
-        // SAFETY: the name is a C string, which PETSc copies.
-        check(unsafe { ffi::PetscLogStageRegister(name.as_ptr(), &raw mut id) })?;
-        Ok(Self { id, _session: Rc::clone(session), _one_thread: PhantomData })
+/// Runs `work` as a named stage of the run in the table of `-log_view`; where PETSc does not run, just runs it.
+pub fn stage<T>(name: &'static str, work: impl FnOnce() -> T) -> T {
+    let Some(id) = stage_id(name) else { return work() };
+    // SAFETY: PETSc runs, since the stage is known. A stage that cannot be booked is no reason to stop.
+    let pushed = check(unsafe { ffi::PetscLogStagePush(id) }).is_ok();
+    let outcome = work();
+    if pushed {
+        // SAFETY: closes the push above; sessions end between stages.
+        check(unsafe { ffi::PetscLogStagePop() }).ok();
     }
+    outcome
+}
 
-    /// Runs `work` inside the stage.
-    pub fn run<T>(&self, work: impl FnOnce() -> Result<T>) -> Result<T> {
-        // SAFETY: the stage was registered with the session that `self` keeps alive.
-        check(unsafe { ffi::PetscLogStagePush(self.id) })?;
-        let outcome = work();
-        // SAFETY: closes the push above, also when `work` failed.
-        check(unsafe { ffi::PetscLogStagePop() })?;
-        outcome
-    }
+fn stage_id(name: &'static str) -> Option<ffi::PetscLogStage> {
+    STAGES.with_borrow_mut(|stages| {
+        let stages = stages.as_mut()?;
+        if let Some((_, id)) = stages.iter().find(|(known, _)| *known == name) {
+            return Some(*id);
+        }
+        let (text, mut id) = (c_string(name).ok()?, 0);
+        // SAFETY: PETSc runs; the name is a C string, which it copies.
+        check(unsafe { ffi::PetscLogStageRegister(text.as_ptr(), &raw mut id) }).ok()?;
+        stages.push((name, id));
+        Some(id)
+    })
 }

@@ -178,36 +178,15 @@ impl Assembler {
     }
 
     /// Groups of unknowns that are linked with each other but with no surface. Each group goes by its smallest global row, groups
-    /// at a surface by -1: ranks pass these marks on until the smallest has reached every member.
+    /// at a surface by -1.
     fn find_floating<const D: usize>(&mut self, inputs: &Inputs<'_, D>, halo: &Halo<D>) {
         let Self { system, groups, column_of, particle_of, .. } = self;
         let (ranks, first, particles) = (halo.ranks(), system.first_row, inputs.particles);
         let is_anchored = |row: usize| inputs.surface[particle_of[row] as usize] > 0.0;
         groups.unite(&system.full, first);
         let mut marks = groups.marks(first, is_anchored);
-        let foreign: HashMap<i32, usize> = (0..particles.len())
-            .filter(|a| particles.is_foreign(*a) || !halo.holds(*a))
-            .map(|a| (column_of[a], a))
-            .collect();
-        let own = first..first + particle_of.len();
-        let links: Vec<(usize, usize)> = (0..particle_of.len())
-            .flat_map(|k| system.full.row(k).map(move |(column, _)| (k, column)))
-            .filter(|(_, column)| !own.contains(column))
-            .filter_map(|(k, column)| Some((k, *foreign.get(&(column as i32))?)))
-            .collect();
-        let mut mark_of = vec![i32::MAX; particles.len()];
-        let mut changed = true;
-        while ranks.any(changed && ranks.are_several()) {
-            for (k, &a) in particle_of.iter().enumerate() {
-                mark_of[a as usize] = marks[groups.root(k as u32) as usize];
-            }
-            halo.refresh(particles.originals(), &mut mark_of);
-            changed = false;
-            for &(k, a) in &links {
-                let mark = &mut marks[groups.root(k as u32) as usize];
-                changed |= mark_of[a] < *mark;
-                *mark = mark_of[a].min(*mark);
-            }
+        if ranks.are_several() {
+            groups.pass_on(&mut marks, system, column_of, particle_of, particles, halo);
         }
         let mut members: BTreeMap<i32, Vec<u32>> = BTreeMap::new();
         for k in 0..particle_of.len() as u32 {
@@ -320,18 +299,44 @@ impl Block {
 }
 
 /// Strings the rows of all blocks together.
-fn join(rows: &mut Rows, blocks: &[Block], part: impl Fn(&Block) -> &Partial) {
-    rows.start.clear();
-    rows.start.push(0);
-    rows.column.clear();
-    rows.value.clear();
-    for block in blocks {
+fn join(rows: &mut Rows, blocks: &[Block], part: impl Fn(&Block) -> &Partial + Copy + Sync) {
+    let lengths = blocks.iter().map(|block| (part(block).count.len(), part(block).entries.len()));
+    let (count, entries) = lengths.fold((0, 0), |(n, m), (rows, entries)| (n + rows, m + entries));
+    rows.start.resize(count + 1, 0);
+    rows.start[0] = 0;
+    rows.column.resize(entries, 0);
+    rows.value.resize(entries, 0.0);
+    let places = (&mut rows.start[1..], &mut rows.column[..], &mut rows.value[..]);
+    copy(blocks, part, 0, places);
+}
+
+/// Copies the rows of `blocks`, whose first entry is number `first`, to their places: ends of rows, columns, values.
+fn copy(
+    blocks: &[Block],
+    part: impl Fn(&Block) -> &Partial + Copy + Sync,
+    first: i32,
+    (ends, column, value): (&mut [i32], &mut [i32], &mut [f64]),
+) {
+    let (left, right) = blocks.split_at(blocks.len() / 2);
+    if !left.is_empty() {
+        let rows = left.iter().map(|block| part(block).count.len()).sum();
+        let entries = left.iter().map(|block| part(block).entries.len()).sum();
+        let (left_ends, ends) = ends.split_at_mut(rows);
+        let (left_column, column) = column.split_at_mut(entries);
+        let (left_value, value) = value.split_at_mut(entries);
+        rayon::join(
+            || copy(left, part, first, (left_ends, left_column, left_value)),
+            || copy(right, part, first + entries as i32, (ends, column, value)),
+        );
+    } else if let [block] = right {
         let Partial { count, entries, .. } = part(block);
-        for n in count {
-            rows.start.push(rows.start[rows.start.len() - 1] + n);
+        let mut end = first;
+        for (place, n) in ends.iter_mut().zip(count) {
+            end += n;
+            *place = end;
         }
-        rows.column.extend(entries.iter().map(|(c, _)| *c));
-        rows.value.extend(entries.iter().map(|(_, v)| *v));
+        column.iter_mut().zip(entries).for_each(|(place, (c, _))| *place = *c);
+        value.iter_mut().zip(entries).for_each(|(place, (_, v))| *place = *v);
     }
 }
 
@@ -418,10 +423,55 @@ impl Groups {
     fn unite(&mut self, rows: &Rows, first: usize) {
         self.parent.clear();
         self.parent.extend(0..rows.len() as u32);
+        let local = |column: i32| (column as usize).wrapping_sub(first);
         for k in 0..rows.len() {
-            for (c, _) in rows.row(k).filter(|(c, _)| (first..first + k).contains(c)) {
-                let (a, b) = (self.root(k as u32), self.root((c - first) as u32));
-                self.parent[a.max(b) as usize] = a.min(b);
+            // Columns ascend, and links are mutual: those before the diagonal tell all.
+            let columns = &rows.column[rows.start[k] as usize..rows.start[k + 1] as usize];
+            let mut a = k as u32;
+            for c in columns.iter().map(|&c| local(c)).skip_while(|&c| c >= rows.len()).take_while(|&c| c < k)
+            {
+                if self.parent[c] != a {
+                    let b = self.root(c as u32);
+                    self.parent[a.max(b) as usize] = a.min(b);
+                    a = a.min(b);
+                }
+            }
+        }
+    }
+
+    /// Passes the marks of groups on between ranks until the smallest has reached every member.
+    fn pass_on<const D: usize>(
+        &mut self,
+        marks: &mut [i32],
+        system: &PressureSystem,
+        column_of: &[i32],
+        particle_of: &[u32],
+        particles: &Particles<D>,
+        halo: &Halo<D>,
+    ) {
+        let (ranks, first) = (halo.ranks(), system.first_row);
+        let foreign: HashMap<i32, usize> = (0..particles.len())
+            .filter(|&a| column_of[a] >= 0 && (particles.is_foreign(a) || !halo.holds(a)))
+            .map(|a| (column_of[a], a))
+            .collect();
+        let own = first..first + particle_of.len();
+        let links: Vec<(usize, usize)> = (0..particle_of.len())
+            .flat_map(|k| system.full.row(k).map(move |(column, _)| (k, column)))
+            .filter(|(_, column)| !own.contains(column))
+            .filter_map(|(k, column)| Some((k, *foreign.get(&(column as i32))?)))
+            .collect();
+        let mut mark_of = vec![i32::MAX; particles.len()];
+        let mut changed = true;
+        while ranks.any(changed) {
+            for (k, &a) in particle_of.iter().enumerate() {
+                mark_of[a as usize] = marks[self.root(k as u32) as usize];
+            }
+            halo.refresh(particles.originals(), &mut mark_of);
+            changed = false;
+            for &(k, a) in &links {
+                let mark = &mut marks[self.root(k as u32) as usize];
+                changed |= mark_of[a] < *mark;
+                *mark = mark_of[a].min(*mark);
             }
         }
     }

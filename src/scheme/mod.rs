@@ -210,15 +210,25 @@ pub struct StepReport {
     pub collisions: usize,
 }
 
+/// Runs `work` as a stage of PETSc's own log, where there is one.
+#[cfg(feature = "petsc")]
+pub use crate::petsc::stage as logged;
+
+/// Runs `work`: without PETSc there is no log to book it in.
+#[cfg(not(feature = "petsc"))]
+pub fn logged<T>(_: &'static str, work: impl FnOnce() -> T) -> T {
+    work()
+}
+
 /// Wall-clock time by named stage.
 #[derive(Debug, Clone, Default)]
 pub struct Stages(Vec<(&'static str, Duration)>);
 
 impl Stages {
-    /// Runs `work` and books its time under `name`.
+    /// Runs `work` and books its time under `name`, with PETSc too where that runs.
     pub fn time<T>(&mut self, name: &'static str, work: impl FnOnce() -> T) -> T {
         let start = std::time::Instant::now();
-        let result = work();
+        let result = logged(name, work);
         let spent = start.elapsed();
         match self.0.iter_mut().find(|(n, _)| *n == name) {
             Some((_, total)) => *total += spent,

@@ -14,7 +14,10 @@
 //! At the surface and within a neighbour of it the part along the surface normal is dropped (Lind et al. 2012): there
 //! grad C points out of the water, not away from crowding. The normal is that of the surface particles around, since
 //! the second row's own defect is too small to have a direction. The velocity is carried along,
-//! v(r + dr) = v(r) + dr . grad v, so that shifting does not smear momentum.
+//! v(r + dr) = v(r) + dr . grad v, so that shifting does not smear momentum. Of a wall only the normal velocity counts in
+//! grad v: liquid slides along it, and its tangential velocity is no value of the liquid's. Were it one, a fast particle
+//! beside a wall would see its own speed as a gradient, v / dx, and gain a share |dr| / dx of it with each move
+//! away from the wall: tips of films ran away to twice the speed of the flood behind them.
 
 use crate::operators::{Moments, Surroundings};
 use crate::particles::{Matrix, Particles, Vector};
@@ -58,7 +61,7 @@ impl Shifting {
         let first = particles.solids();
         moves.resize(particles.owned() - first, (Vector::zeros(), Vector::zeros()));
         moves.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, change)| {
-            *change = self.of(surroundings, &particles.velocity, moments, surface, first + k);
+            *change = self.of(surroundings, particles, moments, surface, first + k);
         });
     }
 
@@ -76,18 +79,24 @@ impl Shifting {
     pub fn of<const D: usize>(
         &self,
         surroundings: &Surroundings<'_, D>,
-        velocity: &[Vector<D>],
+        particles: &Particles<D>,
         moments: &[Moments<D>],
         surface: &[f64],
         a: usize,
     ) -> (Vector<D>, Vector<D>) {
+        let (velocity, solids) = (&particles.velocity, particles.solids());
         let v_a = velocity[a];
         let mut fastest = 0.0_f64;
         let mut gradient = Matrix::<D>::zeros();
         let mut inward = surface[a] * moments[a].defect;
         for (b, r_ab, vf) in surroundings.active(a) {
-            let v_ba = velocity[b] - v_a;
+            let mut v_ba = velocity[b] - v_a;
             fastest = fastest.max(v_ba.norm_squared());
+            let original = particles.original(b);
+            if original < solids {
+                let normal = particles.normal[original];
+                v_ba = v_ba.dot(&normal) * normal;
+            }
             gradient += vf * v_ba * r_ab.transpose();
             inward += surface[b] * moments[b].defect;
         }

@@ -92,7 +92,7 @@ impl<const D: usize> Observer<D> for Pictures<D> {
 /// Where a gauge is dry its curve has a gap: a zero would be a measurement.
 pub fn write_curves(folder: &RunFolder, case: &CaseFile, references: &References) -> Result<()> {
     create(&folder.join(FOLDER))?;
-    let history = Columns::read(&folder.join("history.csv"))?;
+    let history = Columns::read(&folder.join("history.csv"), f64::NAN)?;
     let energies = ENERGIES.map(|column| {
         let label = column.trim_end_matches("_j").replace('_', " ");
         Ok(Series { label, points: history.rows("time_s", column)?, style: Style::Line })
@@ -130,7 +130,7 @@ pub fn write_curves(folder: &RunFolder, case: &CaseFile, references: &References
         }
     }
     for table in GAUGES.map(|name| folder.join(name)).iter().filter(|table| table.is_file()) {
-        let table = Columns::read(table)?;
+        let table = Columns::read(table, f64::NAN)?;
         for column in table.names().filter(|name| *name != "time_s") {
             draw(&table, column, measured(column))?;
         }
