@@ -8,9 +8,13 @@
 //! A solid's cells that touch open space (edges and corners included) are its *wall* layer; deeper cells, as far as
 //! `layers` reach, are *dummies*, each tied to its nearest wall cell, which at a flat wall lies along the normal
 //! and at a corner is the corner cell.
+//!
+//! Bodies ([`crate::bodies`]) are sets of cells too: a box all of its snapped extent, any other form the cells whose centres it
+//! contains. Walls are made as if there were no bodies, and a body as if there were nothing else: it may move away.
 
+use crate::form::Form;
 use crate::particles::{Particles, Vector};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 /// An axis-aligned box in m.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,7 +32,7 @@ impl<const D: usize> Aabb<D> {
     }
 
     /// Is `r` in the ellipsoid that touches all sides?
-    fn ellipsoid_contains(&self, r: &Vector<D>) -> bool {
+    pub(crate) fn ellipsoid_contains(&self, r: &Vector<D>) -> bool {
         (r - self.centre()).component_div(&(0.5 * (self.max - self.min))).norm_squared() < 1.0
     }
 }
@@ -74,6 +78,32 @@ pub struct Shapes<const D: usize> {
     pub boxes: Vec<Aabb<D>>,
     /// Liquid.
     pub blocks: Vec<BlockShape<D>>,
+    /// Bodies.
+    pub bodies: Vec<BodyShape<D>>,
+}
+
+/// A body at the start: its form, which touches all sides of its extent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BodyShape<const D: usize> {
+    /// Extent.
+    pub extent: Aabb<D>,
+    /// What of it is solid.
+    pub form: Form,
+}
+
+/// The particles of one body.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct BodyCells<const D: usize> {
+    /// Solid particle of each wall cell, then of each dummy, in [`Particles`].
+    pub members: Vec<u32>,
+    /// How many of them are walls.
+    pub walls: usize,
+    /// Sides of wall cells that no other cell of the body covers: place in `members`, axis, direction of the outward normal.
+    pub faces: Vec<(u32, usize, f64)>,
+    /// Centres of all cells, in m.
+    pub cells: Vec<Vector<D>>,
+    /// Lower and upper corner as snapped.
+    pub extent: Option<Aabb<D>>,
 }
 
 /// What a wall particle belongs to, and which of its cell's faces open space touches.
@@ -161,6 +191,7 @@ pub struct Lattice<const D: usize> {
     tank: Option<(CellBox<D>, TankShape<D>)>,
     boxes: Vec<CellBox<D>>,
     blocks: Vec<(CellBox<D>, BlockShape<D>)>,
+    bodies: Vec<(Aabb<D>, Vec<Cell<D>>)>,
     /// One sentence for each length that had to be snapped.
     pub snapped: Vec<String>,
 }
@@ -180,11 +211,13 @@ impl<const D: usize> Lattice<D> {
             tank: None,
             boxes: vec![],
             blocks: vec![],
+            bodies: vec![],
             snapped: vec![],
         };
         lattice.tank = shapes.tank.map(|t| (lattice.snap("tank", &t.inner), t));
         lattice.boxes = shapes.boxes.iter().map(|b| lattice.snap("box", b)).collect();
         lattice.blocks = shapes.blocks.iter().map(|b| (lattice.snap("fluid block", &b.extent), *b)).collect();
+        lattice.bodies = shapes.bodies.iter().map(|body| lattice.cells_of(body)).collect();
         lattice
     }
 
@@ -202,6 +235,20 @@ impl<const D: usize> Lattice<D> {
             })
         };
         CellBox { min: corner("min", &extent.min), max: corner("max", &extent.max) }
+    }
+
+    /// Extent and cells of a body.
+    fn cells_of(&mut self, body: &BodyShape<D>) -> (Aabb<D>, Vec<Cell<D>>) {
+        if body.form == Form::Box {
+            let cells = self.snap("body", &body.extent);
+            return (self.extent(&cells), cells.cells().collect());
+        }
+        let corner = |point: &Vector<D>, grow: f64| -> Cell<D> {
+            std::array::from_fn(|d| ((point[d] - self.origin[d]) / self.spacing + grow).floor() as i64)
+        };
+        let around = CellBox { min: corner(&body.extent.min, -1.0), max: corner(&body.extent.max, 2.0) };
+        let inside = body.form.filter(&body.extent);
+        (body.extent, around.cells().filter(|cell| inside(&self.centre(cell))).collect())
     }
 
     /// Lower and upper corner of box `k` as snapped.
@@ -331,9 +378,10 @@ impl<const D: usize> Lattice<D> {
         layers: usize,
         velocity: impl Fn(usize, &Vector<D>) -> Vector<D>,
     ) -> Particles<D> {
-        let mut particles = self.solid_particles(layers as i64);
+        let (mut particles, _) = self.solid_particles(layers as i64);
+        let bodies: HashSet<Cell<D>> = self.bodies.iter().flat_map(|(_, cells)| cells).copied().collect();
         for (k, (cells, shape)) in self.blocks.iter().enumerate() {
-            for cell in cells.cells().filter(|cell| self.is_open(cell)) {
+            for cell in cells.cells().filter(|cell| self.is_open(cell) && !bodies.contains(cell)) {
                 let r = self.centre(&cell);
                 if !shape.ellipsoid || shape.extent.ellipsoid_contains(&r) {
                     particles.push_fluid(r, velocity(k, &r));
@@ -343,35 +391,56 @@ impl<const D: usize> Lattice<D> {
         particles
     }
 
-    fn solid_particles(&self, layers: i64) -> Particles<D> {
-        let touching = stencil::<D>(1);
-        let mut cells: Vec<(Cell<D>, Vector<D>)> = vec![];
-        let mut inner: Vec<Cell<D>> = vec![];
-        for cell in self.solid_regions(layers) {
-            let open: Vec<_> = touching.iter().filter(|o| self.is_open(&shifted(&cell, o))).collect();
-            match open.is_empty() {
-                true => inner.push(cell),
-                false => cells.push((cell, wall_normal(&open))),
-            }
+    /// The particles of each body among those of [`particles`](Self::particles) with as many `layers`.
+    pub fn bodies(&self, layers: usize) -> Vec<BodyCells<D>> {
+        self.solid_particles(layers as i64).1
+    }
+
+    fn solid_particles(&self, layers: i64) -> (Particles<D>, Vec<BodyCells<D>>) {
+        let mut solid = Layered::new(self.solid_regions(layers), |cell| self.is_open(cell), layers);
+        let mut bodies = vec![];
+        for (extent, cells) in &self.bodies {
+            let all: HashSet<Cell<D>> = cells.iter().copied().collect();
+            let is_open = |cell: &Cell<D>| !all.contains(cell);
+            let body = Layered::new(cells.clone(), is_open, layers);
+            let [walls, dummies] = [solid.walls.len() as u32, solid.dummies.len() as u32];
+            let faces = body.walls.iter().enumerate().flat_map(|(k, (cell, _))| {
+                let sides = (0..D).flat_map(|axis| [(axis, -1), (axis, 1)]);
+                sides.filter_map(move |(axis, end)| {
+                    let next: Cell<D> = std::array::from_fn(|d| cell[d] + i64::from(d == axis) * end);
+                    is_open(&next).then_some((k as u32, axis, end as f64))
+                })
+            });
+            bodies.push(BodyCells {
+                faces: faces.collect(),
+                walls: body.walls.len(),
+                // Dummies are numbered behind the walls of all solids, which are not all known yet.
+                members: (walls..walls + body.walls.len() as u32)
+                    .chain(dummies..dummies + body.dummies.len() as u32)
+                    .collect(),
+                cells: cells.iter().map(|cell| self.centre(cell)).collect(),
+                extent: Some(*extent),
+            });
+            solid.walls.extend(body.walls);
+            solid
+                .dummies
+                .extend(body.dummies.into_iter().map(|dummy| Dummy { tie: dummy.tie + walls, ..dummy }));
         }
-        let wall_of: HashMap<Cell<D>, u32> =
-            cells.iter().enumerate().map(|(k, (cell, _))| (*cell, k as u32)).collect();
-        let near = stencil::<D>(layers - 1);
-        let mut depth = vec![0.5 * self.spacing; cells.len()];
-        let mut tie = vec![];
-        for cell in inner {
-            let found = near.iter().find_map(|o| wall_of.get(&shifted(&cell, o)).map(|&w| (w, o)));
-            if let Some((wall, offset)) = found {
-                let normal = cells[wall as usize].1;
-                let behind: f64 = (0..D).map(|d| offset[d] as f64 * normal[d]).sum();
-                cells.push((cell, normal));
-                depth.push((0.5 + behind) * self.spacing);
-                tie.push(wall);
-            }
+        let count = solid.walls.len() as u32;
+        for body in &mut bodies {
+            body.members[body.walls..].iter_mut().for_each(|dummy| *dummy += count);
         }
-        let position = cells.iter().map(|(cell, _)| self.centre(cell)).collect();
-        let normal = cells.iter().map(|(_, normal)| *normal).collect();
-        Particles::from_solid(position, normal, depth, tie)
+        let behind = solid.dummies.iter().map(|dummy| (dummy.cell, solid.walls[dummy.tie as usize].1));
+        let (cells, normal): (Vec<_>, Vec<_>) = solid.walls.iter().copied().chain(behind).unzip();
+        let depth =
+            solid.walls.iter().map(|_| 0.5).chain(solid.dummies.iter().map(|dummy| 0.5 + dummy.behind));
+        let particles = Particles::from_solid(
+            cells.iter().map(|cell| self.centre(cell)).collect(),
+            normal,
+            depth.map(|cells| cells * self.spacing).collect(),
+            solid.dummies.iter().map(|dummy| dummy.tie).collect(),
+        );
+        (particles, bodies)
     }
 
     /// All solid cells that can lie within `layers` of open space, each once.
@@ -392,6 +461,46 @@ impl<const D: usize> Lattice<D> {
             }));
         }
         cells
+    }
+}
+
+/// The cells of one solid by layer.
+struct Layered<const D: usize> {
+    /// Those that touch open space, with their normals.
+    walls: Vec<(Cell<D>, Vector<D>)>,
+    dummies: Vec<Dummy<D>>,
+}
+
+/// A deeper cell.
+struct Dummy<const D: usize> {
+    cell: Cell<D>,
+    /// The wall cell it is tied to.
+    tie: u32,
+    /// How far it lies behind that one along the normal, in cells.
+    behind: f64,
+}
+
+impl<const D: usize> Layered<D> {
+    fn new(cells: Vec<Cell<D>>, is_open: impl Fn(&Cell<D>) -> bool, layers: i64) -> Self {
+        let touching = stencil::<D>(1);
+        let (mut walls, mut inner) = (vec![], vec![]);
+        for cell in cells {
+            let open: Vec<_> = touching.iter().filter(|o| is_open(&shifted(&cell, o))).collect();
+            match open.is_empty() {
+                true => inner.push(cell),
+                false => walls.push((cell, wall_normal(&open))),
+            }
+        }
+        let wall_of: HashMap<Cell<D>, u32> =
+            walls.iter().enumerate().map(|(k, (cell, _))| (*cell, k as u32)).collect();
+        let near = stencil::<D>(layers - 1);
+        let dummy = |cell: Cell<D>| {
+            let (tie, offset) = near.iter().find_map(|o| wall_of.get(&shifted(&cell, o)).map(|&w| (w, o)))?;
+            let normal = walls[tie as usize].1;
+            Some(Dummy { cell, tie, behind: (0..D).map(|d| offset[d] as f64 * normal[d]).sum() })
+        };
+        let dummies = inner.into_iter().filter_map(dummy).collect();
+        Self { walls, dummies }
     }
 }
 
@@ -446,6 +555,7 @@ mod tests {
                 extent: Aabb { min: Vector::zeros(), max: Vector::<2>::new(0.2, 0.4) },
                 ellipsoid: false,
             }],
+            bodies: vec![],
         }
     }
 
@@ -504,6 +614,7 @@ mod tests {
             }),
             boxes: vec![Aabb { min: Vector::<3>::new(1.0, 0.3, 0.0), max: Vector::<3>::new(1.4, 0.7, 0.4) }],
             blocks: vec![],
+            bodies: vec![],
         };
         let particles = Lattice::new(&shapes, 0.1).particles(4, |_, _| Vector::zeros());
         let in_box =
@@ -532,6 +643,7 @@ mod tests {
             tank: Some(TankShape { inner, open, periodic: [false; 3] }),
             boxes: vec![solid],
             blocks: vec![],
+            bodies: vec![],
         };
         Lattice::new(&shapes, 0.0183)
     }

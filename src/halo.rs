@@ -7,7 +7,7 @@
 //!
 //! **Ranks** meet in the same way. Each owns a slab of the scene ([`partition`](crate::parallel::partition)); liquid that
 //! drifts into another slab moves to its rank, and liquid within reach of another slab (or whose periodic copy is) has a ghost there.
-//! Solids do not move: every rank keeps all of them, numbered alike, as geometry, which costs memory but no traffic.
+//! Every rank keeps all solids, numbered alike, as geometry, which costs memory but no traffic: bodies move alike on all ranks.
 //! Each solid particle is *held* by one rank, the one whose slab it is in, which alone has neighbours, pressure
 //! unknowns and fields for it; a dummy goes with the wall particle it is tied to. The others get
 //! the fields of those near their slab by the same [`Halo::refresh`], in place.
@@ -78,6 +78,8 @@ pub struct Halo<const D: usize> {
     ranks: Ranks,
     /// Everything about other ranks; nothing on one rank.
     peers: Option<Peers<D>>,
+    /// Whether solids move, and so may change slabs with every renewal.
+    solids_move: bool,
 }
 
 /// What this rank shares with the others.
@@ -130,6 +132,17 @@ impl<const D: usize> Halo<D> {
         Self { ranks, reach, peers: Some(peers), ..self }
     }
 
+    /// Tells that solids move; they may turn as well, which lengthens ties along x to their whole length.
+    pub fn let_solids_move(&mut self, particles: &Particles<D>, support: f64) {
+        self.solids_move = true;
+        let walls = particles.walls().len();
+        let tie =
+            |d: usize| (particles.position[d] - particles.position[particles.tie[d - walls] as usize]).norm();
+        if self.peers.is_some() {
+            self.reach = support + particles.dummies().map(tie).fold(0.0, f64::max);
+        }
+    }
+
     /// The ranks that it spans.
     pub fn ranks(&self) -> &Ranks {
         &self.ranks
@@ -176,6 +189,9 @@ impl<const D: usize> Halo<D> {
                 peers.slabs = Slabs::balanced(&self.ranks, x, 0.25 * self.reach);
                 peers.deal_solids(particles, &self.ranks, self.domain.as_ref(), self.reach);
             }
+        }
+        if self.solids_move {
+            peers.deal_solids(particles, &self.ranks, self.domain.as_ref(), self.reach);
         }
         let owner = |r: &Vector<D>| peers.slabs.owner(r[0]);
         let mut parts = vec![vec![]; self.ranks.count()];

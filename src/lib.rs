@@ -32,13 +32,13 @@
 //! - [`error`]: what goes wrong, and the exit code of each kind; [`memory`]: what a process takes
 //! - [`kernel`]: smoothing kernels and what they sum to on a lattice
 //! - `petsc`: the only unsafe code, a thin fence around PETSc (feature `petsc`)
-//! - [`particles`], [`geometry`], [`parallel`], [`halo`], [`neighbors`]: arrays, scenes on a lattice,
-//!   ranks, ghosts, who is near whom
+//! - [`particles`], [`form`], [`geometry`], [`parallel`], [`halo`], [`neighbors`]: arrays, forms of bodies, scenes on a
+//!   lattice, ranks, ghosts, who is near whom
 //! - [`operators`]: density, divergence, gradients, Laplacians; [`terms`]: viscosity, state equation, density diffusion, surface,
 //!   shifting, collisions
 //! - [`boundary`]: walls of dummy particles, wall pressure from the liquid, repulsive walls
 //! - [`ppe`]: the pressure equation: matrix, source, solution
-//! - [`motion`]: a tank that is moved
+//! - [`motion`]: a tank that is moved; [`bodies`]: rigid bodies, their friction, and their coupling with the pressure
 //! - [`scheme`]: one time step; [`simulation`]: the time loop
 //! - [`output`]: particle files, tables, gauges, checkpoints, pictures; [`report`]: the end of a run
 //! - [`exact`]: flows with a known solution
@@ -49,12 +49,14 @@
 
 #![deny(unsafe_code)]
 
+pub mod bodies;
 pub mod boundary;
 pub mod case;
 pub mod child;
 pub mod cli;
 pub mod error;
 pub mod exact;
+pub mod form;
 pub mod geometry;
 pub mod halo;
 pub mod kernel;

@@ -10,6 +10,7 @@ use crate::case::{CaseFile, Profile, SchemeKind, read};
 use crate::cli::{self, RunArgs};
 use crate::exact;
 use crate::motion::Motion;
+use crate::output::bodies::BodyLog;
 use crate::output::comparison::References;
 use crate::output::exact_log::ExactLog;
 use crate::output::observers::{History, Probes, Snapshots, SolverLog, Systems};
@@ -94,6 +95,7 @@ struct Output<'a, const D: usize> {
     profiles: Option<Profiles>,
     solver_log: SolverLog,
     snapshots: Snapshots<D>,
+    bodies: Option<BodyLog>,
     pictures: Pictures<D>,
     progress: Progress,
     references: References<'a>,
@@ -214,7 +216,10 @@ impl<'a, const D: usize> Run<'a, D> {
                 )));
             }
         }
-        self.show(|output, whole| output.snapshots.write(whole))
+        self.show(|output, whole| {
+            output.snapshots.write(whole)?;
+            output.bodies.as_mut().map_or(Ok(()), |bodies| bodies.write(whole))
+        })
     }
 
     /// Tables, files and pictures that are due after a step; without any the scene is not gathered.
@@ -285,6 +290,7 @@ impl<'a, const D: usize> Output<'a, D> {
             probes,
             solver_log: SolverLog::new(&folder, since)?,
             snapshots: Snapshots::new(&folder, case, since)?,
+            bodies: BodyLog::new(&folder, case, since)?,
             pictures: Pictures::new(&folder, case, since),
             progress: Progress::new(case.time.until, args.common.quiet),
             references,
@@ -305,6 +311,10 @@ impl<'a, const D: usize> Output<'a, D> {
         }
         self.probes.sample(simulation)?;
         self.snapshots.write(simulation)?;
+        if let Some(bodies) = &mut self.bodies {
+            bodies.sample(simulation)?;
+            bodies.write(simulation)?;
+        }
         self.pictures.draw_due(simulation)
     }
 
@@ -331,7 +341,8 @@ impl<'a, const D: usize> Output<'a, D> {
         let always: [&dyn Observer<D>; 4] = [&self.history, &self.probes, &self.snapshots, &self.pictures];
         let exact = self.exact.as_ref().map(|exact| exact as &dyn Observer<D>);
         let profiles = self.profiles.as_ref().map(|profiles| profiles as &dyn Observer<D>);
-        always.into_iter().chain(exact).chain(profiles)
+        let bodies = self.bodies.as_ref().map(|bodies| bodies as &dyn Observer<D>);
+        always.into_iter().chain(exact).chain(profiles).chain(bodies)
     }
 
     fn is_due(&self, time: f64) -> bool {
@@ -348,12 +359,16 @@ impl<'a, const D: usize> Output<'a, D> {
             profiles.observe(simulation, report)?;
         }
         self.snapshots.observe(simulation, report)?;
+        if let Some(bodies) = &mut self.bodies {
+            bodies.observe(simulation, report)?;
+        }
         self.pictures.observe(simulation, report)
     }
 
     fn save(&mut self, simulation: &Simulation<D>) -> Result<()> {
         self.history.flush()?;
         self.probes.flush()?;
+        self.bodies.as_mut().map_or(Ok(()), BodyLog::flush)?;
         self.solver_log.flush()?;
         self.exact.as_mut().map_or(Ok(()), ExactLog::flush)?;
         self.profiles.as_mut().map_or(Ok(()), Profiles::flush)?;
@@ -544,7 +559,11 @@ fn wall_time_in(folder: &RunFolder) -> f64 {
 /// A number for what the particles of a case are made from; what else differs is no obstacle to going on.
 fn scene_number(case: &CaseFile) -> u64 {
     let scene = (case.dimension, case.spacing, &case.tank, &case.boxes, &case.fluid.blocks);
-    crc32fast::hash(format!("{scene:?}").as_bytes()).into()
+    let mut text = format!("{scene:?}");
+    if !case.bodies.is_empty() {
+        text += &format!("{:?}", case.bodies.iter().map(|body| &body.shape).collect::<Vec<_>>());
+    }
+    crc32fast::hash(text.as_bytes()).into()
 }
 
 /// out/NAME-n with the largest n, or out/NAME.

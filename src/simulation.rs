@@ -35,6 +35,7 @@ pub struct Simulation<const D: usize> {
     margin: f64,
     ranks: Ranks,
     before: (Vec<Vector<D>>, Vec<Vector<D>>, Vec<f64>, Vec<u64>),
+    bodies_before: Vec<f64>,
 }
 
 /// How the time step is chosen.
@@ -118,6 +119,7 @@ impl<const D: usize> Simulation<D> {
             speed_limit: RUNAWAY * (speed + fall),
             margin: support,
             before: Default::default(),
+            bodies_before: vec![],
         };
         simulation.share_out();
         simulation.dt = FIRST * simulation.stable_dt();
@@ -168,6 +170,7 @@ impl<const D: usize> Simulation<D> {
             motion: self.motion.clone(),
             enclosure: self.enclosure.clone(),
             before: Default::default(),
+            bodies_before: vec![],
             ranks: Ranks::default(),
             ..*self
         })
@@ -240,6 +243,9 @@ impl<const D: usize> Simulation<D> {
         velocity.clone_from(&self.particles.velocity);
         pressure.clone_from(&self.particles.pressure);
         id.clone_from(&self.particles.id);
+        if self.scheme.bodies().can_move() {
+            self.bodies_before = self.scheme.bodies().state();
+        }
     }
 
     /// Exchanges the present state with the one before the last step.
@@ -250,6 +256,12 @@ impl<const D: usize> Simulation<D> {
         std::mem::swap(velocity, &mut self.particles.velocity);
         std::mem::swap(pressure, &mut self.particles.pressure);
         std::mem::swap(id, &mut self.particles.id);
+        if self.scheme.bodies().can_move() {
+            let present = self.scheme.bodies().state();
+            // What came from the bodies fits them.
+            let _ = self.scheme.bodies_mut().set_state(&self.bodies_before);
+            self.bodies_before = present;
+        }
     }
 
     /// Finite and bounded? A particle that leaves all its neighbours behind within one step has jumped, not flowed.
@@ -294,7 +306,11 @@ impl<const D: usize> Simulation<D> {
     /// Takes out particles that went over an open side for good, and any that got behind a wall.
     fn remove_leavers(&mut self) {
         let (enclosure, margin, gravity) = (&self.enclosure, self.margin, self.gravity);
-        let fate = |r: &Vector<D>| Fate::of(r, enclosure, &gravity, margin);
+        let bodies = self.scheme.bodies();
+        let fate = |r: &Vector<D>| match Fate::of(r, enclosure, &gravity, margin) {
+            Fate::Stays if bodies.contain(r) => Fate::ThroughWall("body's"),
+            fate => fate,
+        };
         let particles = &self.particles;
         let gone: Vec<usize> =
             particles.fluid().filter(|&a| fate(&particles.position[a]) != Fate::Stays).collect();

@@ -84,6 +84,31 @@ fn isph_flows_alike_on_four_ranks() {
     flow_is_the_same("dam_break_2d --spacing 0.02 --until 0.1 -ksp_rtol 1e-8", &[4], 5e-3);
 }
 
+/// Places of bodies on two ranks within 1e-4 m of those on one.
+fn bodies_move_alike(line: &str, columns: &[&str]) {
+    let folder = tempfile::tempdir().unwrap();
+    if !done(&folder, line, 1) || !done(&folder, line, 2) {
+        return;
+    }
+    for column in columns {
+        let [alone, together] = [1, 2].map(|ranks| last_of(&folder, ranks, "bodies.csv", column));
+        assert!((alone - together).abs() < 1e-4, "{column}: {alone}, {together}");
+    }
+}
+
+#[test]
+fn bodies_in_wcsph_move_alike_on_two_ranks() {
+    let columns = ["box1_x_m", "box1_y_m", "box1_rotation_z_rad", "box5_x_m"];
+    bodies_move_alike("debris --scheme wcsph --spacing 0.02 --until 0.25", &columns);
+}
+
+#[test]
+#[cfg(feature = "petsc")]
+fn bodies_in_isph_move_alike_on_two_ranks() {
+    let columns = ["box1_x_m", "box1_y_m", "box1_rotation_z_rad"];
+    bodies_move_alike("debris --spacing 0.02 --until 0.2 -ksp_rtol 1e-9", &columns);
+}
+
 #[test]
 #[cfg(feature = "petsc")]
 fn pressures_do_not_depend_on_the_ranks() {

@@ -227,6 +227,7 @@ fn still_water<const D: usize>() {
         density: water.params.density,
         spacing: DX,
         laplacian: LaplacianKind::Schwaiger,
+        bodies: None,
     };
     assembler.assemble(&inputs, &Halo::default(), Needs::default());
     let weight = water.params.density * -water.params.gravity[D - 1];

@@ -91,6 +91,7 @@ impl<const D: usize> Water<D> {
             density: self.params.density,
             spacing: self.params.spacing,
             laplacian,
+            bodies: None,
         };
         assembler.assemble(&inputs, &Halo::default(), ALL);
         assembler

@@ -77,6 +77,12 @@ fn assert_same_run(whole: &Path, resumed: &Path) {
         fs::read(whole.join("history.csv")).unwrap() == fs::read(resumed.join("history.csv")).unwrap(),
         "history.csv differs"
     );
+    for table in ["bodies.csv", "forces.csv"].into_iter().filter(|table| whole.join(table).exists()) {
+        assert!(
+            fs::read(whole.join(table)).unwrap() == fs::read(resumed.join(table)).unwrap(),
+            "{table} differs"
+        );
+    }
     let others = snapshots(resumed);
     for (time, file) in snapshots(whole) {
         assert!(others.get(&time) == Some(&file), "the particles at {time} s differ");
@@ -135,6 +141,65 @@ fn a_resumed_run_in_a_shaken_tank_is_the_uninterrupted_run() {
 #[test]
 fn a_resumed_run_with_periodic_sides_is_the_uninterrupted_run() {
     resumed_is_uninterrupted("taylor_green --spacing 0.05");
+}
+
+#[test]
+fn a_resumed_run_with_bodies_is_the_uninterrupted_run() {
+    resumed_is_uninterrupted("debris --spacing 0.02");
+}
+
+/// A cylinder let go under water: its first acceleration is that of its added mass.
+#[test]
+fn a_submerged_cylinder_starts_with_its_added_mass() {
+    let folder = folder();
+    let text = "name = \"cylinder\"\ndimension = 2\nspacing = 0.01\n[[fluid.block]]\nmin = [0, 0]\nmax = [1, 1]\n\
+                [tank]\nmin = [0, 0]\nmax = [1, 1.1]\nopen = [\"top\"]\n[[body]]\nname = \"c\"\nshape = \"sphere\"\n\
+                centre = [0.5, 0.5]\nradius = 0.08\ndensity = 1\nimmersed = true\nmotion = \"free\"\n[time]\nuntil = 2e-3\n\
+                step = 5e-4\n[output]\ngauges = 0\n";
+    fs::write(folder.path().join("c.toml"), text).unwrap();
+    // In the middle of a vessel that reaches about six radii: C = 1.05.
+    for density in [1.0_f64, 100.0, 500.0] {
+        done(&folder, &format!("c.toml --threads 1 --set body.density={density} --out {density}"));
+        let table = folder.path().join(density.to_string()).join("bodies.csv");
+        let found: f64 = column(&table, "c_ay_m_per_s2")[1].parse().unwrap();
+        let expected = 9.81 * (1000.0 - density) / (density + 1.05 * 1000.0);
+        // The outline has steps of a cell, an eighth of the radius.
+        assert!((found / expected - 1.0).abs() < 0.06, "{density} kg/m3: {found} instead of {expected} m/s2");
+    }
+}
+
+/// The paper's Eq. (5) from what is logged of a sliding box, and the regimes of friction.
+#[test]
+fn the_motion_of_a_box_follows_from_the_logged_forces() {
+    let folder = folder();
+    let case = "dam_break_3d_sliding --spacing 0.055 --until 0.6 --threads 1 --set output.snapshots=[]";
+    for (mass, coupling) in [(60.0, "strong"), (60.0, "explicit"), (700.0, "strong")] {
+        let sets = format!("--set body.mass={mass} --set scheme.coupling={coupling} --set output.gauges=0");
+        let out = format!("{coupling}{mass}");
+        done(&folder, &format!("{case} {sets} --out {out}"));
+        let numbers = |table: &str, name: &str| -> Vec<f64> {
+            column(&folder.path().join(&out).join(table), name).iter().map(|x| x.parse().unwrap()).collect()
+        };
+        let (time, u, a) = (
+            numbers("bodies.csv", "time_s"),
+            numbers("bodies.csv", "box_vx_m_per_s"),
+            numbers("bodies.csv", "box_ax_m_per_s2"),
+        );
+        let (force, friction) = (numbers("forces.csv", "box_x_n"), numbers("forces.csv", "box_friction_x_n"));
+        assert!(force.iter().any(|f| *f > 30.0), "the flood has come");
+        for k in 1..time.len() {
+            assert!(
+                (a[k] * mass - force[k] - friction[k]).abs() <= 1e-12 * (force[k].abs() + 0.3 * mass),
+                "{k}"
+            );
+            assert!((u[k] - u[k - 1] - a[k] * (time[k] - time[k - 1])).abs() <= 1e-12, "{k}");
+            assert!(friction[k].abs() <= 0.3 * mass * (1.0 + 1e-12), "{k}");
+            if u[k - 1] > 0.0 && u[k] > 0.0 {
+                assert!((friction[k] + 0.3 * mass).abs() < 1e-9, "it slides: {}", friction[k]);
+            }
+        }
+        assert!(mass > 100.0 || u.iter().any(|u| *u > 0.1), "a light box slides");
+    }
 }
 
 #[test]
@@ -460,7 +525,9 @@ fn every_shipped_case_runs() {
     for name in list.lines().filter_map(|line| line.split_whitespace().next()) {
         let short = match name {
             "patch_test" => "",
-            "dam_break_3d_fixed" => "--spacing 0.055 --until 0.01",
+            "dam_break_3d_fixed" | "dam_break_3d_open" | "dam_break_3d_sliding" | "stl_house" => {
+                "--spacing 0.055 --until 0.01"
+            }
             name if name.contains("3d") => "--spacing 0.02 --until 0.01",
             _ => "--until 0.01",
         };

@@ -1,11 +1,16 @@
 //! From a proven case file to particles and scheme parameters of one dimension.
 
 use super::{
-    BlockForm, CaseFile, DiffusionKind, FluidBlock, Probe, SchemeKind, SchemeParams, Side, SourceKind, axes,
+    BlockForm, BodyMotion, CaseFile, Coupling, DiffusionKind, FluidBlock, Probe, SchemeKind, SchemeParams,
+    Side, SourceKind, axes,
 };
+use crate::bodies::contact::Surroundings;
+use crate::bodies::friction::Friction;
+use crate::bodies::{Bodies, Motion, Plan};
 use crate::boundary::repulsion::Repulsion;
 use crate::exact;
-use crate::geometry::{Aabb, BlockShape, Enclosure, Lattice, Shapes, SolidSide, TankShape};
+use crate::form::{Form, Point};
+use crate::geometry::{Aabb, BlockShape, BodyShape, Enclosure, Lattice, Shapes, SolidSide, TankShape};
 use crate::halo::PeriodicBox;
 use crate::parallel::Ranks;
 use crate::particles::{Particles, Vector};
@@ -38,13 +43,22 @@ fn layers(dimension: usize, support_in_spacings: f64) -> usize {
 pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
     let lattice = Lattice::new(&shapes(case), case.spacing);
     let tank = lattice.snapped_tank();
-    let params = params(case, tank.as_ref());
+    let mut params = params(case, tank.as_ref());
     let exact = exact::of_case(case, &params);
+    let layers = layers(D, params.support() / case.spacing);
     let velocity = |block: usize, r: &Vector<D>| match &exact {
         Some(exact) => exact.initial_velocity(r),
         None => block_velocity(&case.fluid.blocks[block], r),
     };
-    let mut particles = lattice.particles(layers(D, params.support() / case.spacing), velocity);
+    let mut particles = lattice.particles(layers, velocity);
+    if !case.bodies.is_empty() {
+        let strong = case.scheme.coupling == Coupling::Strong;
+        let cells = lattice.bodies(layers);
+        params.bodies = Bodies::new(body_plans(case), cells, &particles, case.spacing, strong);
+        // Thicker than anything gets into them in a step.
+        params.bodies.set_surroundings(Surroundings::of(&lattice.enclosure(), 1.0));
+        params.bodies.place(&mut particles, true);
+    }
     jitter(&mut particles, case.scheme.jitter * case.spacing, case.seed);
     // A scheme that solves for the pressure finds it.
     if let Some(exact) = exact.filter(|_| !case.scheme.kind.solves()) {
@@ -93,6 +107,7 @@ fn params<const D: usize>(case: &CaseFile, tank: Option<&TankShape<D>>) -> Param
             period: std::array::from_fn(|d| period(tank, d)),
         }),
         ranks: Ranks::default(),
+        bodies: Bodies::default(),
     }
 }
 
@@ -198,7 +213,69 @@ fn shapes<const D: usize>(case: &CaseFile) -> Shapes<D> {
                 ellipsoid: b.shape == BlockForm::Ellipsoid,
             })
             .collect(),
+        bodies: case
+            .bodies
+            .iter()
+            .map(|body| {
+                let [min, max] = body.shape.extent();
+                BodyShape { extent: extent(&min, &max), form: form(&body.shape) }
+            })
+            .collect(),
     }
+}
+
+fn form(shape: &super::BodyShape) -> Form {
+    match shape {
+        super::BodyShape::Box { .. } | super::BodyShape::Stl { triangles: None, .. } => Form::Box,
+        super::BodyShape::Sphere { .. } => Form::Ellipsoid,
+        super::BodyShape::Cylinder { along, .. } => Form::Cylinder { axis: *along as usize },
+        super::BodyShape::Stl { triangles: Some(mesh), .. } => Form::Mesh(mesh.clone()),
+    }
+}
+
+/// Bodies as the case has them.
+fn body_plans<const D: usize>(case: &CaseFile) -> Vec<Plan<D>> {
+    let plan = |body: &super::Body| {
+        let friction = Friction {
+            law: body.friction.law,
+            coefficient: body.friction.coefficient,
+            uplift: body.friction.uplift,
+        };
+        let all = if D == 2 { vec![0, 1, 5] } else { (0..6).collect::<Vec<usize>>() };
+        let row = |row: &Vec<f64>| {
+            let mut rates = [0.0; 6];
+            rates[..D].copy_from_slice(&row[1..=D]);
+            let spin = &row[D + 1..];
+            rates[6 - spin.len()..].copy_from_slice(spin);
+            (row[0], rates)
+        };
+        let spin = |values: &[f64]| match values {
+            [z] => Point::new(0.0, 0.0, *z),
+            _ => Point::from_fn(|k, _| values.get(k).copied().unwrap_or(0.0)),
+        };
+        Plan {
+            name: body.name.clone(),
+            mass: body.mass.ok_or(body.density.unwrap_or(case.fluid.density)),
+            motion: match body.motion {
+                BodyMotion::Fixed => Motion::Fixed,
+                BodyMotion::Prescribed => Motion::Prescribed(body.path.iter().map(row).collect()),
+                BodyMotion::Sliding => {
+                    Motion::Free { freedoms: vec![body.axis as usize], friction: Some(friction) }
+                }
+                BodyMotion::Free => {
+                    let locked = |k: &usize| body.locked.iter().any(|axis| *axis as usize == *k);
+                    let freedoms = all.into_iter().filter(|k| !locked(k)).collect();
+                    Motion::Free { freedoms, friction: None }
+                }
+            },
+            push: vector(&body.push),
+            velocity: vector(&body.velocity),
+            spin: spin(&body.spin),
+            form: form(&body.shape),
+            contact_friction: body.friction.coefficient,
+        }
+    };
+    case.bodies.iter().map(plan).collect()
 }
 
 /// Axis of a side, and 0 for its lower or 1 for its upper end.

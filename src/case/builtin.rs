@@ -7,9 +7,14 @@ macro_rules! cases {
 }
 
 /// Names and TOML texts, in the order in which they are listed.
-const CASES: [(&str, &str); 12] = cases![
+const CASES: [(&str, &str); 17] = cases![
     "dam_break_2d",
     "dam_break_3d_fixed",
+    "dam_break_3d_open",
+    "dam_break_3d_sliding",
+    "dam_break_gate",
+    "debris",
+    "stl_house",
     "still_water_2d",
     "still_water_3d",
     "taylor_green",

@@ -8,8 +8,11 @@ pub mod build;
 pub mod builtin;
 pub mod read;
 
+use crate::bodies::friction::Law;
+use crate::form::Mesh;
 use clap::ValueEnum;
 use serde::Serialize;
+use std::sync::Arc;
 
 /// One scene: a closed description of geometry, physics, numerics and output.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -37,6 +40,9 @@ pub struct CaseFile {
     /// Fixed solid boxes inside the domain.
     #[serde(rename = "box", skip_serializing_if = "Vec::is_empty")]
     pub boxes: Vec<SolidBox>,
+    /// Rigid bodies.
+    #[serde(rename = "body", skip_serializing_if = "Vec::is_empty")]
+    pub bodies: Vec<Body>,
     /// The flow whose solution is known, if it is one: also gives the initial velocity.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exact: Option<ExactSolution>,
@@ -193,6 +199,169 @@ pub struct SolidBox {
     pub max: Vec<f64>,
 }
 
+/// A rigid body.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Body {
+    /// Name in bodies.csv and forces.csv; body1, body2, ... where the file gives none.
+    pub name: String,
+    /// What of space it fills at the start.
+    #[serde(flatten)]
+    pub shape: BodyShape,
+    /// Whether liquid that it overlaps at the start makes room for it.
+    pub immersed: bool,
+    /// Mass in kg; in 2D that of 1 m of width.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mass: Option<f64>,
+    /// Density in kg/m3 in place of the mass.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub density: Option<f64>,
+    /// What it may do.
+    pub motion: BodyMotion,
+    /// Axis that it slides along.
+    pub axis: Axis,
+    /// Axes along or about which a free body does not move.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub locked: Vec<Freedom>,
+    /// Velocity at the start in m/s.
+    pub velocity: Vec<f64>,
+    /// Angular velocity at the start in rad/s: one number in 2D, three in 3D.
+    pub spin: Vec<f64>,
+    /// A constant force in N that pushes it at its centre.
+    pub push: Vec<f64>,
+    /// Rows of a time in s, ascending, a velocity in m/s and, if wanted, an angular velocity in rad/s that a prescribed body
+    /// has; linear between them, constant beyond the ends.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub path: Vec<Vec<f64>>,
+    /// Friction on what it slides along or touches.
+    pub friction: BodyFriction,
+}
+
+/// What of space a body fills at the start.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "shape", rename_all = "snake_case")]
+pub enum BodyShape {
+    /// An axis-aligned box.
+    Box {
+        /// Lower corner in m.
+        min: Vec<f64>,
+        /// Upper corner in m.
+        max: Vec<f64>,
+    },
+    /// A sphere, in 2D a disc.
+    Sphere {
+        /// Centre in m.
+        centre: Vec<f64>,
+        /// Radius in m.
+        radius: f64,
+    },
+    /// A round cylinder (3D).
+    Cylinder {
+        /// Centre in m.
+        centre: Vec<f64>,
+        /// Radius in m.
+        radius: f64,
+        /// Length in m.
+        length: f64,
+        /// Its axis.
+        along: Axis,
+    },
+    /// A closed triangle mesh (3D).
+    Stl {
+        /// Name of a file.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        file: Option<String>,
+        /// In place of a file its contents as text.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        mesh: Option<String>,
+        /// Metres per unit of length of the mesh.
+        scale: f64,
+        /// Where its origin is put, in m.
+        offset: Vec<f64>,
+        /// As read.
+        #[serde(skip)]
+        triangles: Option<Arc<Mesh>>,
+    },
+}
+
+impl BodyShape {
+    /// Lower and upper corner of the extent in m; of a mesh that could not be read NaN.
+    pub fn extent(&self) -> [Vec<f64>; 2] {
+        match self {
+            Self::Box { min, max } => [min.clone(), max.clone()],
+            Self::Sphere { centre, radius } => {
+                [-radius, *radius].map(|r| centre.iter().map(|x| x + r).collect())
+            }
+            Self::Cylinder { centre, radius, length, along } => [-1.0, 1.0].map(|side| {
+                let half = |d: usize| if d == *along as usize { 0.5 * length } else { *radius };
+                centre.iter().enumerate().map(|(d, x)| x + side * half(d)).collect()
+            }),
+            Self::Stl { triangles: None, .. } => [vec![f64::NAN; 3], vec![f64::NAN; 3]],
+            Self::Stl { triangles: Some(mesh), .. } => {
+                let (low, high) = mesh.extent();
+                [low, high].map(|corner| corner.iter().copied().collect())
+            }
+        }
+    }
+}
+
+/// What a body may do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, ValueEnum)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
+pub enum BodyMotion {
+    /// Nothing.
+    #[default]
+    Fixed,
+    /// Move as `path` says.
+    Prescribed,
+    /// Slide along one axis.
+    Sliding,
+    /// Move and turn, but for `locked` axes.
+    Free,
+}
+
+/// An axis along or about which a body may be free.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
+pub enum Freedom {
+    /// Along x.
+    X,
+    /// Along y.
+    Y,
+    /// Along z, 3D only.
+    Z,
+    /// About x, 3D only.
+    RotationX,
+    /// About y, 3D only.
+    RotationY,
+    /// About z, in 2D in the plane.
+    RotationZ,
+}
+
+/// Friction of a body; module [`friction`](crate::bodies::friction) has the laws.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct BodyFriction {
+    /// The law, for sliding bodies; free ones obey Coulomb's.
+    pub law: Law,
+    /// Coefficient alpha.
+    pub coefficient: f64,
+    /// Whether liquid that seeps under it lifts a sliding body.
+    pub uplift: bool,
+}
+
+/// How the motion of bodies and the pressure are coupled in ISPH.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, ValueEnum)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
+pub enum Coupling {
+    /// Found together.
+    #[default]
+    Strong,
+    /// The pressure from the last acceleration, and from it the next one.
+    Explicit,
+}
+
 /// A named side of the tank: x is left to right, y (3D only) front to back, the last axis bottom to top.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
@@ -283,6 +452,8 @@ pub struct SchemeParams {
     pub collision_distance: f64,
     /// Coefficient of restitution of those collisions.
     pub collision_restitution: f64,
+    /// Coupling of bodies and pressure (ISPH).
+    pub coupling: Coupling,
     /// Random displacement of the initial lattice, uniform in +-jitter spacings along each axis.
     pub jitter: f64,
 }
@@ -316,6 +487,7 @@ impl SchemeParams {
             clip_negative_pressure: false,
             collision_distance: 0.0,
             collision_restitution: 0.2,
+            coupling: Coupling::Strong,
             jitter: 0.0,
         }
     }

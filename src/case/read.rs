@@ -5,15 +5,19 @@
 //! comparisons here ask "is it wrong?", never "is it not right?".
 
 use std::cell::RefCell;
+use std::sync::Arc;
 
 use clap::ValueEnum;
 use toml_edit::{Document, Item, TableLike, Value};
 
 use super::{
-    Arrival, BlockForm, CaseFile, ExactSolution, Fluid, FluidBlock, Motion, Normalise, OutputParams, Probe,
-    Profile, Reference, SchemeKind, SchemeParams, Side, Slip, SolidBox, Tank, TimeParams,
+    Arrival, Axis, BlockForm, Body, BodyFriction, BodyMotion, BodyShape, CaseFile, ExactSolution, Fluid,
+    FluidBlock, Motion, Normalise, OutputParams, Probe, Profile, Reference, SchemeKind, SchemeParams, Side,
+    Slip, SolidBox, Tank, TimeParams,
 };
-use crate::output::{quantities, table};
+use crate::bodies::friction::Law;
+use crate::form::{Mesh, Point};
+use crate::output::{bodies, quantities, table};
 use crate::{Error, Result};
 
 /// More particles than this are taken for a mistake in the spacing.
@@ -226,6 +230,12 @@ fn set(root: &mut Item, key: &str, value: &str) -> std::result::Result<String, S
     for segment in key.split('.') {
         if segment.is_empty() {
             return Err(format!("{key:?} is no key: write it like fluid.density"));
+        }
+        // One entry alone needs no number.
+        let is_one = item.as_array_of_tables().is_some_and(|tables| tables.len() == 1);
+        if is_one && segment.parse::<usize>().is_err() {
+            path.push("0");
+            item = item.get_mut(0).expect("there is one");
         }
         let above = path.join(".");
         path.push(segment);
@@ -546,6 +556,7 @@ fn read_case(r: &Reader) -> CaseFile {
             min: r.vector("min", "m").required(),
             max: r.vector("max", "m").required(),
         }),
+        bodies: r.sections("body", read_body),
         exact: r.optional_section("exact", read_exact),
         scheme,
         output: r.section("output", |r| read_output(r, time.until)),
@@ -586,6 +597,100 @@ fn read_fluid(r: &Reader) -> Fluid {
             rotation: r.number("rotation", Range::Any, "rad/s").or(0.0),
         }),
     }
+}
+
+fn read_body(r: &Reader) -> Body {
+    const SHAPES: [&str; 4] = ["box", "sphere", "cylinder", "stl"];
+    let shape = r.field("shape", format!("one of {SHAPES:?}"), SHAPES[0], |item| {
+        SHAPES.into_iter().find(|&shape| item.as_str() == Some(shape))
+    });
+    let zeros = vec![0.0; r.dimension];
+    let shape = match shape.or(SHAPES[0]) {
+        "sphere" => BodyShape::Sphere {
+            centre: r.vector("centre", "m").required(),
+            radius: r.number("radius", Range::Positive, "m").required(),
+        },
+        "cylinder" => BodyShape::Cylinder {
+            centre: r.vector("centre", "m").required(),
+            radius: r.number("radius", Range::Positive, "m").required(),
+            length: r.number("length", Range::Positive, "m").required(),
+            along: r.variant("along").or(Axis::Z),
+        },
+        "stl" => read_stl(r),
+        _ => BodyShape::Box { min: r.vector("min", "m").required(), max: r.vector("max", "m").required() },
+    };
+    let motion = r.variant("motion").or(BodyMotion::default());
+    let turns = if r.dimension == 2 { 1 } else { 3 };
+    let spin =
+        r.field("spin", format!("a list of {turns} finite numbers in rad/s"), vec![0.0; turns], |item| {
+            floats(item).filter(|spin| spin.len() == turns && spin.iter().all(|x| x.is_finite()))
+        });
+    let columns = 1 + r.dimension;
+    let wanted = format!(
+        "rows of {columns} or {} finite numbers, a time in s, a velocity in m/s and an angular one in rad/s, times ascending",
+        columns + turns
+    );
+    let path = r.field("path", wanted, vec![], |item| {
+        let rows = items(item)?.iter().map(floats).collect::<Option<Vec<_>>>()?;
+        let is_row = |row: &Vec<f64>| {
+            [columns, columns + turns].contains(&row.len()) && row.iter().all(|value| value.is_finite())
+        };
+        let ascends = rows.windows(2).all(|pair| pair[0].first() < pair[1].first());
+        (!rows.is_empty() && rows.iter().all(is_row) && ascends).then_some(rows)
+    });
+    let path = if motion == BodyMotion::Prescribed { path.required() } else { path.or(vec![]) };
+    let body = Body {
+        name: r.name("name").or(r.numbered("body")),
+        shape,
+        immersed: r.flag("immersed").or(false),
+        mass: r.number("mass", Range::Positive, "kg").optional(),
+        density: r.number("density", Range::Positive, "kg/m3").optional(),
+        motion,
+        axis: r.variant("axis").or(Axis::X),
+        locked: r.variant_list("locked").or(vec![]),
+        velocity: r.vector("velocity", "m/s").or(zeros.clone()),
+        spin: spin.or(vec![0.0; turns]),
+        push: r.vector("push", "N").or(zeros),
+        path,
+        friction: r.section("friction", |r| BodyFriction {
+            law: r.variant("law").or(Law::default()),
+            coefficient: r.number("coefficient", Range::NotNegative, "").or(0.3),
+            uplift: r.flag("uplift").or(true),
+        }),
+    };
+    match (body.mass, body.density) {
+        (None, None) if matches!(motion, BodyMotion::Free | BodyMotion::Sliding) => {
+            r.note("mass", "is missing: give a finite number > 0 in kg, or a density in kg/m3");
+        }
+        (Some(_), Some(_)) => r.note("density", "stands beside a mass: leave one of them out"),
+        _ => {}
+    }
+    body
+}
+
+fn read_stl(r: &Reader) -> BodyShape {
+    let file = r.text("file", "the name of an STL file").optional();
+    let mesh = r.field("mesh", "the text of an STL file".to_owned(), String::new(), |item| {
+        item.as_str().map(str::to_owned)
+    });
+    let mesh = mesh.optional();
+    let scale = r.number("scale", Range::Positive, "m").or(1.0);
+    let offset = r.vector("offset", "m").or(vec![0.0; r.dimension]);
+    let key = if file.is_some() { "file" } else { "mesh" };
+    let bytes = match (&file, &mesh) {
+        (Some(_), Some(_)) => Err("stands beside a file: leave one of them out".to_owned()),
+        (Some(file), None) => {
+            std::fs::read(file).map_err(|error| format!("{file:?} cannot be read ({error}): correct it"))
+        }
+        (None, Some(mesh)) => Ok(mesh.clone().into_bytes()),
+        (None, None) => {
+            Err("is missing: give the text of an STL file, or the name of one as file".to_owned())
+        }
+    };
+    let place = Point::from_fn(|d, _| offset.get(d).copied().unwrap_or(0.0));
+    let triangles = bytes.and_then(|bytes| Mesh::read(&bytes, scale, place));
+    let triangles = triangles.map_err(|sentence| r.note(key, &sentence)).ok().map(Arc::new);
+    BodyShape::Stl { file, mesh, scale, offset, triangles }
 }
 
 fn read_tank(r: &Reader) -> Tank {
@@ -662,6 +767,7 @@ fn read_scheme(r: &Reader) -> SchemeParams {
         collision_restitution: r
             .number("collision_restitution", Range::Within(0.0, 1.0), "")
             .or(default.collision_restitution),
+        coupling: r.variant("coupling").or(default.coupling),
         jitter: r.number("jitter", Range::Within(0.0, 0.5), "spacings").or(default.jitter),
     }
 }
@@ -790,6 +896,17 @@ impl<'a> Cuboid<'a> {
     }
 }
 
+/// The axis along which a cuboid leaves the other one, if it does, and whether at its higher end.
+fn beyond(cuboid: &Cuboid, other: &Cuboid, tolerance: f64) -> Option<(usize, bool)> {
+    cuboid.sides().zip(other.sides()).enumerate().find_map(|(axis, ((min, max), (low, high)))| {
+        match (low - min > tolerance, max - high > tolerance) {
+            (true, _) => Some((axis, false)),
+            (_, true) => Some((axis, true)),
+            _ => None,
+        }
+    })
+}
+
 /// Names of the lower and the upper side along an axis; the last axis points up.
 fn side_names(axis: usize, dimension: usize) -> (&'static str, &'static str) {
     match axis {
@@ -803,16 +920,23 @@ fn side_names(axis: usize, dimension: usize) -> (&'static str, &'static str) {
 fn prove(case: &CaseFile, problems: &mut Vec<Problem>) {
     let blocks = case.fluid.blocks.iter().enumerate();
     let boxes = case.boxes.iter().enumerate();
+    let extents: Vec<[Vec<f64>; 2]> = case.bodies.iter().map(|body| body.shape.extent()).collect();
     let proof = Proof {
         case,
         tolerance: 1e-6 * case.spacing,
         blocks: blocks.map(|(i, b)| Cuboid::new(format!("fluid.block.{i}"), &b.min, &b.max)).collect(),
         boxes: boxes.map(|(i, b)| Cuboid::new(format!("box.{i}"), &b.min, &b.max)).collect(),
+        bodies: extents
+            .iter()
+            .enumerate()
+            .map(|(i, [min, max])| Cuboid::new(format!("body.{i}"), min, max))
+            .collect(),
         tank: case.tank.as_ref().map(|tank| Cuboid::new("tank", &tank.min, &tank.max)),
     };
     proof.extents(problems);
     proof.places(problems);
     proof.overlaps(problems);
+    proof.bodies(problems);
     proof.particles(problems);
     proof.open_sides(problems);
     proof.periodic_axes(problems);
@@ -834,6 +958,7 @@ struct Proof<'a> {
     tolerance: f64,
     blocks: Vec<Cuboid<'a>>,
     boxes: Vec<Cuboid<'a>>,
+    bodies: Vec<Cuboid<'a>>,
     tank: Option<Cuboid<'a>>,
 }
 
@@ -877,6 +1002,72 @@ impl Proof<'_> {
                     );
                     problems.push(Problem::new(format!("{}.{end}", cuboid.path), &complaint));
                 }
+            }
+        }
+    }
+
+    fn bodies(&self, problems: &mut Vec<Problem>) {
+        let CaseFile { spacing, scheme, dimension, tank, .. } = self.case;
+        // Liquid on both sides of a thinner one would feel each other through it.
+        let cells = (scheme.kernel.support() * scheme.smoothing_ratio - 1.0 - 1e-9).ceil().max(1.0);
+        for (index, (cuboid, body)) in self.bodies.iter().zip(&self.case.bodies).enumerate() {
+            let mut note = |key: &str, complaint: String| {
+                problems.push(Problem::new(format!("body.{index}{key}"), &complaint));
+            };
+            if matches!(body.shape, BodyShape::Stl { .. } | BodyShape::Cylinder { .. }) && *dimension == 2 {
+                note(".shape", "is one that only 3D has: use box or sphere".to_owned());
+            }
+            if let Some((min, max)) = cuboid.sides().find(|(min, max)| min >= max) {
+                note(".max", format!("is {max:?} where min is {min:?}: give max > min"));
+                continue;
+            }
+            let thinnest = cuboid.sides().map(|(min, max)| max - min).fold(f64::INFINITY, f64::min);
+            if (thinnest / spacing).round() < cells {
+                note(
+                    "",
+                    format!(
+                        "is {thinnest:.6} m thin, less than the {cells} layers of particles that keep liquid on its \
+                         sides apart: thicken it, or reduce spacing to {:.6}",
+                        thinnest / cells
+                    ),
+                );
+            }
+            let beyond = self.tank.as_ref().and_then(|tank| beyond(cuboid, tank, self.tolerance));
+            if let Some((axis, higher)) = beyond {
+                let (low, high) = side_names(axis, *dimension);
+                let side = if higher { high } else { low };
+                note("", format!("reaches beyond the tank's {side} side: keep it inside"));
+            }
+            for other in self.boxes.iter().chain(&self.bodies[..index]) {
+                if cuboid.overlaps(other, self.tolerance) {
+                    note("", format!("overlaps {}: move or shrink one of them", other.path));
+                }
+            }
+            for block in
+                self.blocks.iter().filter(|block| !body.immersed && cuboid.overlaps(block, self.tolerance))
+            {
+                note(
+                    "",
+                    format!(
+                        "overlaps {}: move one of them, or set immersed = true and liquid makes room",
+                        block.path
+                    ),
+                );
+            }
+            if tank.as_ref().is_some_and(|tank| !tank.periodic.is_empty()) {
+                note(
+                    "",
+                    "is in a scene that repeats itself, which no body can be: leave tank.periodic out"
+                        .to_owned(),
+                );
+            }
+            if body.motion == BodyMotion::Sliding && body.axis as usize >= *dimension {
+                note(".axis", "is z, which only 3D has: use x or y".to_owned());
+            }
+            if self.case.boxes.iter().any(|solid| solid.name == body.name)
+                || self.case.bodies[..index].iter().any(|other| other.name == body.name)
+            {
+                note(".name", format!("is {:?}, which another solid has: give another name", body.name));
             }
         }
     }
@@ -1005,6 +1196,12 @@ impl Proof<'_> {
         let history = quantities::history::<2>().map(|(name, _)| name.to_owned());
         let columns: Vec<String> =
             history.into_iter().chain(probes.iter().flat_map(|probe| probe.columns(*dimension))).collect();
+        let columns = [
+            columns,
+            bodies::force_columns(self.case.bodies.iter().map(|body| body.name.as_str()), *dimension),
+            bodies::columns(self.case.bodies.iter().map(|body| body.name.as_str()), *dimension),
+        ]
+        .concat();
         let asked = references.iter().map(|reference| &reference.quantity).enumerate();
         let watched = arrivals.iter().map(|arrival| &arrival.quantity).enumerate();
         let all = asked.map(|(i, q)| ("reference", i, q)).chain(watched.map(|(i, q)| ("arrival", i, q)));
@@ -1049,7 +1246,9 @@ impl Proof<'_> {
     }
 
     fn liquid(&self, problems: &mut Vec<Problem>) {
-        let is_dry = self.blocks.is_empty() && self.case.scheme.kind != SchemeKind::PatchTest;
+        let is_dry = self.blocks.is_empty()
+            && self.bodies.is_empty()
+            && self.case.scheme.kind != SchemeKind::PatchTest;
         let is_noted = problems.iter().any(|problem| is_within(&problem.path, "fluid.block"));
         if is_dry && !is_noted {
             let complaint = "is missing: give at least one [[fluid.block]] with min and max";
@@ -1359,7 +1558,7 @@ until = 1
                 "new.key",
                 "1",
                 "--set new.key: new is no key of a case file: use one of dimension, scheme, time, name, description, \
-                 spacing, gravity, seed, fluid, tank, motion, box, exact, output, probe, reference, profile, arrival, \
+                 spacing, gravity, seed, fluid, tank, motion, box, body, exact, output, probe, reference, profile, arrival, \
                  variant, run",
             ),
             ("fluid", "1", "--set fluid: fluid is 1: write it as one table [fluid]"),

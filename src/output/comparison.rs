@@ -20,7 +20,7 @@ use crate::case::{Arrival, CaseFile, Normalise, Reference};
 use crate::{Error, Result};
 
 /// Tables of a run that hold quantities.
-const TABLES: [&str; 3] = ["history.csv", "probes.csv", "forces.csv"];
+const TABLES: [&str; 4] = ["history.csv", "probes.csv", "forces.csv", "bodies.csv"];
 /// Columns of the first of these that tell of the flow as a whole.
 const HISTORY: [&str; 3] = ["front_m", "kinetic_energy_j", "centre_height_m"];
 /// Steps on either side in the search for the best time shift.

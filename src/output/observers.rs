@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::bodies;
 use super::checkpoint;
 use super::folder::RunFolder;
 use super::forces::Forces;
@@ -54,7 +55,12 @@ impl Schedule {
 }
 
 /// A table that starts with the time, opened for a new run or for one resumed at time `since`.
-fn open(folder: &RunFolder, name: &str, columns: Vec<String>, since: Option<f64>) -> Result<Table> {
+pub(super) fn open(
+    folder: &RunFolder,
+    name: &str,
+    columns: Vec<String>,
+    since: Option<f64>,
+) -> Result<Table> {
     let columns = [vec!["time_s".to_owned()], columns].concat();
     match since {
         None => Table::create(&folder.join(name), &columns),
@@ -164,6 +170,8 @@ impl<const D: usize> Observer<D> for History<D> {
 pub struct Probes<const D: usize> {
     gauges: Option<(Table, Gauges<D>)>,
     forces: Option<(Table, Forces<D>)>,
+    /// Whether forces.csv has columns of bodies.
+    bodies: bool,
     every_step: bool,
     schedule: Schedule,
 }
@@ -182,12 +190,19 @@ impl<const D: usize> Probes<D> {
             let all = Gauges::new(&case.probes, lattice, particles, params);
             gauges = Some((open(folder, "probes.csv", columns, since)?, all));
         }
-        let columns = columns_of(true);
+        let names = case.bodies.iter().map(|body| body.name.as_str());
+        let columns = [columns_of(true), bodies::force_columns(names, D)].concat();
         if !columns.is_empty() {
             forces = Some((open(folder, "forces.csv", columns, since)?, Forces::new(case, lattice, params)));
         }
         let schedule = Schedule::new(case.output.gauges, vec![], since.unwrap_or(0.0));
-        Ok(Self { gauges, forces, every_step: case.output.gauges == 0.0, schedule })
+        Ok(Self {
+            gauges,
+            forces,
+            bodies: !case.bodies.is_empty(),
+            every_step: case.output.gauges == 0.0,
+            schedule,
+        })
     }
 
     /// Rows of the present state.
@@ -201,7 +216,8 @@ impl<const D: usize> Probes<D> {
         }
         if let Some((table, forces)) = &mut self.forces {
             let forces = forces.read(particles, &fields, body_force);
-            let components = forces.iter().flat_map(|force| force.iter().copied());
+            let on_bodies = if self.bodies { bodies::forces(simulation.scheme.bodies()) } else { vec![] };
+            let components = forces.iter().flat_map(|force| force.iter().copied()).chain(on_bodies);
             table.row(&std::iter::once(time).chain(components).map(Cell::Number).collect::<Vec<_>>())?;
         }
         Ok(())

@@ -95,8 +95,10 @@ impl<const D: usize> Gauges<D> {
                 _ => {
                     let near = |r: &&Vector<D>| horizontal_square(&at, r) < support * support;
                     Kind::Height {
-                        solids: particles.position[..particles.solids()]
-                            .iter()
+                        // Those that move away are not beside it for long.
+                        solids: (0..particles.solids())
+                            .filter(|&a| params.bodies.movable(a).is_none())
+                            .map(|a| &particles.position[a])
                             .filter(near)
                             .copied()
                             .collect(),

@@ -22,6 +22,9 @@ pub fn save<const D: usize>(simulation: &Simulation<D>, writer: &mut Writer) {
         .f64("position", &flat(&particles.position[..owned]))
         .f64("velocity", &flat(&particles.velocity[..owned]))
         .f64("pressure", &particles.pressure[..owned]);
+    if !simulation.scheme.bodies().is_empty() {
+        writer.f64("bodies", &simulation.scheme.bodies().state());
+    }
 }
 
 /// Goes on from a saved state of the same case.
@@ -55,6 +58,10 @@ pub fn restore<const D: usize>(simulation: &mut Simulation<D>, reader: &Reader) 
     simulation.particles.velocity = velocity;
     simulation.particles.pressure = pressure;
     simulation.particles.id = id;
+    if !simulation.scheme.bodies().is_empty() {
+        simulation.scheme.bodies_mut().set_state(reader.f64("bodies")?).ok_or_else(foreign)?;
+        simulation.scheme.bodies().clone().place(&mut simulation.particles, true);
+    }
     simulation.share_out();
     simulation.feel_last_step();
     simulation.scheme.set_state(reader.f64("scheme")?).ok_or_else(foreign)

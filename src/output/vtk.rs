@@ -52,6 +52,54 @@ pub enum FieldData<'a> {
     Id(&'a [u64]),
 }
 
+/// Surfaces as polygons.
+#[derive(Debug, Clone, Default)]
+pub struct Polygons {
+    /// Three coordinates of each corner, in m.
+    pub points: Vec<f64>,
+    /// Three components of the velocity of each corner, in m/s.
+    pub velocity: Vec<f64>,
+    /// Corners of all polygons, one polygon behind the other.
+    pub connectivity: Vec<u64>,
+    /// Where each polygon ends there.
+    pub offsets: Vec<u64>,
+    /// Number of the body of each polygon.
+    pub body: Vec<u64>,
+    /// Three components of the liquid's force on the body of each polygon, in N.
+    pub force: Vec<f64>,
+}
+
+/// Writes surfaces as text, which no reader of blocks can stumble over: they are small.
+pub fn write_polygons(path: &Path, surfaces: Polygons) -> Result<()> {
+    let Polygons { points, velocity, connectivity, offsets, body, force } = surfaces;
+    let (corners, polygons) = (points.len() / 3, offsets.len());
+    fn array<T: std::fmt::Debug>(kind: &str, name: &str, components: usize, values: &[T]) -> String {
+        let values: Vec<String> = values.iter().map(|value| format!("{value:?}")).collect();
+        format!(
+            "<DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{components}\" format=\"ascii\">{}</DataArray>\n",
+            values.join(" ")
+        )
+    }
+    write_atomic(path, |file| {
+        writeln!(file, r#"<?xml version="1.0"?>"#)?;
+        writeln!(
+            file,
+            r#"<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64"><PolyData>"#
+        )?;
+        writeln!(
+            file,
+            r#"<Piece NumberOfPoints="{corners}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" NumberOfPolys="{polygons}">"#
+        )?;
+        write!(file, "<PointData>{}</PointData>", array("Float64", "velocity", 3, &velocity))?;
+        let (body, force) = (array("UInt64", "body", 1, &body), array("Float64", "force", 3, &force));
+        write!(file, "<CellData>{body}{force}</CellData>")?;
+        write!(file, "<Points>{}</Points>", array("Float64", "points", 3, &points))?;
+        let (corners, ends) =
+            (array("UInt64", "connectivity", 1, &connectivity), array("UInt64", "offsets", 1, &offsets));
+        write!(file, "<Polys>{corners}{ends}</Polys></Piece></PolyData></VTKFile>")
+    })
+}
+
 /// Writes particles at `positions` (flat, `dimension` coordinates each, in m) with their fields.
 pub fn write_vtp(path: &Path, dimension: usize, positions: &[f64], fields: &[Field]) -> Result<()> {
     let count = positions.len() / dimension;

@@ -18,6 +18,7 @@
 //! the share of sum K r^2 that the cut removed on a lattice, so that both give the same energy to smooth fields.
 
 use super::{Needs, PressureSystem, Rows};
+use crate::bodies::Bodies;
 use crate::boundary::DummyWalls;
 use crate::case::LaplacianKind;
 use crate::halo::Halo;
@@ -58,6 +59,8 @@ pub struct Inputs<'a, const D: usize> {
     pub spacing: f64,
     /// Laplacian.
     pub laplacian: LaplacianKind,
+    /// Bodies whose accelerations are found together with the pressure, if any.
+    pub bodies: Option<&'a Bodies<D>>,
 }
 
 /// Assembles pressure systems; owns the system and every buffer.
@@ -71,6 +74,8 @@ pub struct Assembler {
     pub particle_of: Vec<u32>,
     /// Global row of each particle, those of other ranks included, or -1.
     column_of: Vec<i32>,
+    /// Local row, dummy, and coefficient of its pressure in that row, for all dummies of bodies.
+    links: Vec<(u32, u32, f64)>,
     blocks: Vec<Block>,
     groups: Groups,
 }
@@ -83,6 +88,7 @@ struct Block {
     sparse: Partial,
     rhs: Vec<f64>,
     plain_rhs: Vec<f64>,
+    links: Vec<(u32, u32, f64)>,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -153,6 +159,11 @@ impl Assembler {
         for block in &self.blocks {
             self.system.rhs.extend_from_slice(&block.rhs);
         }
+        self.links.clear();
+        for (k, block) in self.blocks.iter().enumerate() {
+            let numbered = |&(row, dummy, coefficient)| ((k * BLOCK) as u32 + row, dummy, coefficient);
+            self.links.extend(block.links.iter().map(numbered));
+        }
         self.find_floating(inputs, halo);
     }
 
@@ -203,6 +214,15 @@ impl Assembler {
         system.floating = members.into_values().collect();
     }
 
+    /// Column of the right-hand side in which `step` tells what each dummy of a body has in pressure above its wall: fills `rhs`.
+    pub fn right_hand_side(&self, step: impl Fn(usize) -> f64, rhs: &mut Vec<f64>) {
+        rhs.clear();
+        rhs.resize(self.particle_of.len(), 0.0);
+        for &(row, dummy, coefficient) in &self.links {
+            rhs[row as usize] += coefficient * step(dummy as usize);
+        }
+    }
+
     /// Writes the solved pressures back to the particles; particles without an unknown get zero.
     pub fn scatter<const D: usize>(&self, particles: &mut Particles<D>) {
         let pressure = &self.system.pressure;
@@ -219,6 +239,7 @@ impl Block {
         self.sparse.clear();
         self.rhs.clear();
         self.plain_rhs.clear();
+        self.links.clear();
     }
 
     fn assemble_row<const D: usize>(
@@ -260,6 +281,9 @@ impl Block {
                 let step = walls.pressure_step(particles, b);
                 rhs += coefficient * step;
                 plain_rhs += plain * step;
+                if inputs.bodies.is_some_and(|bodies| bodies.movable(b).is_some()) {
+                    self.links.push((self.rhs.len() as u32, b as u32, coefficient));
+                }
                 if target == a {
                     continue;
                 }

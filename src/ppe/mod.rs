@@ -94,6 +94,23 @@ pub trait PressureSolve {
     /// Solves `system` in place, or fails with one sentence; never returns an unconverged pressure.
     fn solve(&mut self, system: &mut PressureSystem) -> Result<SolveRecord>;
 
+    /// Solves the last system once more, with another right-hand side: `pressure` is the first guess and the solution.
+    ///
+    /// # Errors
+    /// As [`solve`](Self::solve).
+    fn solve_again(
+        &mut self,
+        system: &PressureSystem,
+        rhs: &[f64],
+        pressure: &mut Vec<f64>,
+    ) -> Result<SolveRecord> {
+        let mut other =
+            PressureSystem { rhs: rhs.to_vec(), pressure: std::mem::take(pressure), ..system.clone() };
+        let record = self.solve(&mut other);
+        *pressure = other.pressure;
+        record
+    }
+
     /// One or two lines on what is in force.
     fn describe(&self) -> String;
 

@@ -112,6 +112,8 @@ pub struct PressureSolver {
     session: Rc<Session>,
     plan: Plan,
     method: Option<Method>,
+    /// The last problem, for other right-hand sides.
+    last: Option<Problem>,
 }
 
 /// A method as chosen, by PETSc's names.
@@ -186,7 +188,7 @@ impl PressureSolver {
     pub fn new(session: Rc<Session>, size: usize) -> Result<Self> {
         session.options().check_types()?;
         let plan = Plan::choose(&session, size)?;
-        Ok(Self { session, plan, method: None })
+        Ok(Self { session, plan, method: None, last: None })
     }
 
     /// Tries the chosen method on a system, every object afresh, and says how that went, be it well or not.
@@ -311,6 +313,52 @@ impl PressureSolver {
             _ => Ok(None),
         }
     }
+
+    /// Solves `problem`, begun at `clock`, into `pressure`, and keeps it.
+    fn solve_problem(
+        &mut self,
+        mut problem: Problem,
+        clock: Instant,
+        pressure: &mut [f64],
+    ) -> Result<SolveRecord> {
+        let mut record = SolveRecord { unknowns: problem.unknowns, ..SolveRecord::default() };
+        if let Some(reason) = problem.trivial()? {
+            pressure.fill(0.0);
+            return Ok(SolveRecord { reason: reason.into(), ..record });
+        }
+        record.nonzeros = problem.full.nonzeros()?;
+        self.prepare(&mut problem)?;
+        record.setup_s = clock.elapsed().as_secs_f64();
+
+        let mut failures = Vec::new();
+        for step in 0.. {
+            let Some((name, outcome)) = self.attempt(step, &problem, &mut record)? else { break };
+            match outcome {
+                Ok(attempt) if attempt.accepted => {
+                    attempt.pressure.read(pressure)?;
+                    record.fallback =
+                        (!failures.is_empty()).then(|| format!("{name}, after {}", failures.join(", then ")));
+                    self.last = Some(problem);
+                    return Ok(record);
+                }
+                Ok(a) => failures.push(format!(
+                    "{name} stopped with {} ({} iterations, residual {:.1e})",
+                    a.reason, a.iterations, a.residual
+                )),
+                Err(Error::Petsc(said)) => failures.push(format!("{name} failed: {said}")),
+                Err(other) => return Err(other),
+            }
+        }
+        let limit = self.method.as_ref().map_or(DEFAULT.relative, |m| m.tolerances.relative);
+        Err(Error::Run(format!(
+            "the pressure equation did not converge: {} unknowns, {} iterations, residual {:.1e}, limit {limit:.1e}; \
+             {}; try -pc_type hypre, a larger -ksp_rtol or a smaller time step",
+            record.unknowns,
+            record.iterations,
+            record.residual,
+            failures.join(", then ")
+        )))
+    }
 }
 
 impl PressureSolve for PressureSolver {
@@ -335,43 +383,31 @@ impl PressureSolve for PressureSolver {
     /// Solves from the last pressure to the new one; after an error `system.pressure` is as before.
     fn solve(&mut self, system: &mut PressureSystem) -> Result<SolveRecord> {
         let clock = Instant::now();
-        let mut problem = Problem::new(&self.session, system)?;
-        let mut record = SolveRecord { unknowns: problem.unknowns, ..SolveRecord::default() };
-        if let Some(reason) = problem.trivial()? {
-            system.pressure.fill(0.0);
-            return Ok(SolveRecord { reason: reason.into(), ..record });
-        }
-        record.nonzeros = problem.full.nonzeros()?;
-        self.prepare(&mut problem)?;
-        record.setup_s = clock.elapsed().as_secs_f64();
+        self.last = None;
+        let problem = Problem::new(&self.session, system)?;
+        self.solve_problem(problem, clock, &mut system.pressure)
+    }
 
-        let mut failures = Vec::new();
-        for step in 0.. {
-            let Some((name, outcome)) = self.attempt(step, &problem, &mut record)? else { break };
-            match outcome {
-                Ok(attempt) if attempt.accepted => {
-                    attempt.pressure.read(&mut system.pressure)?;
-                    record.fallback =
-                        (!failures.is_empty()).then(|| format!("{name}, after {}", failures.join(", then ")));
-                    return Ok(record);
-                }
-                Ok(a) => failures.push(format!(
-                    "{name} stopped with {} ({} iterations, residual {:.1e})",
-                    a.reason, a.iterations, a.residual
-                )),
-                Err(Error::Petsc(said)) => failures.push(format!("{name} failed: {said}")),
-                Err(other) => return Err(other),
+    fn solve_again(
+        &mut self,
+        system: &PressureSystem,
+        rhs: &[f64],
+        pressure: &mut Vec<f64>,
+    ) -> Result<SolveRecord> {
+        let clock = Instant::now();
+        let problem = match self.last.take() {
+            Some(last) if last.constants.is_none() => {
+                let rhs = Vector::from_slice(&self.session, rhs)?;
+                let guess = Vector::from_slice(&self.session, pressure)?;
+                Problem { rhs_norm: rhs.norm()?, rhs, guess, ..last }
             }
-        }
-        let limit = self.method.as_ref().map_or(DEFAULT.relative, |m| m.tolerances.relative);
-        Err(Error::Run(format!(
-            "the pressure equation did not converge: {} unknowns, {} iterations, residual {:.1e}, limit {limit:.1e}; \
-             {}; try -pc_type hypre, a larger -ksp_rtol or a smaller time step",
-            record.unknowns,
-            record.iterations,
-            record.residual,
-            failures.join(", then ")
-        )))
+            // A right-hand side of its own to be made consistent.
+            _ => {
+                let (rhs, pressure) = (rhs.to_vec(), pressure.clone());
+                Problem::new(&self.session, &PressureSystem { rhs, pressure, ..system.clone() })?
+            }
+        };
+        self.solve_problem(problem, clock, pressure)
     }
 
     fn describe(&self) -> String {

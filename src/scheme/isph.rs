@@ -15,8 +15,11 @@
 //! support is too one-sided the symmetric form takes over.
 
 use super::{
-    ACCELERATION_NUMBER, Fields, Params, Scheme, Stages, StepReport, VISCOUS_NUMBER, drift, fastest, sort,
+    ACCELERATION_NUMBER, Afloat, Fields, Params, Scheme, Stages, StepReport, VISCOUS_NUMBER, drift, fastest,
+    sort,
 };
+use crate::bodies::Bodies;
+use crate::bodies::coupling::Flow;
 use crate::boundary::DummyWalls;
 use crate::case::LaplacianKind;
 use crate::halo::Halo;
@@ -25,9 +28,9 @@ use crate::neighbors::{Layout, Neighbors};
 use crate::operators::{Moments, Surroundings};
 use crate::parallel::Ranks;
 use crate::particles::{Particles, ReorderScratch, Vector};
-use crate::ppe::PressureSolve;
 use crate::ppe::matrix::{Assembler, Inputs};
 use crate::ppe::source::Source;
+use crate::ppe::{PressureSolve, SolveRecord};
 use crate::terms::collision::Collisions;
 use crate::terms::shifting::Shifting;
 use crate::terms::{surface, viscosity};
@@ -108,6 +111,9 @@ pub struct Isph<const D: usize> {
     assembler: Assembler,
     pairs: Vec<(u32, u32)>,
     reorder: ReorderScratch<D>,
+    afloat: Afloat<D>,
+    /// For each free axis of a body: the right-hand side for a unit of its acceleration, and what pressure that makes.
+    answers: Vec<(Vec<f64>, Vec<f64>)>,
     /// False in a scene without air, see [`surface`].
     has_surface: bool,
     /// Largest acceleration of the last step in m/s2.
@@ -132,7 +138,10 @@ impl<const D: usize> Isph<D> {
         let lattice = params.lattice_sums();
         let volume = params.volume();
         let mut support = Support { neighbors: Neighbors::default(), active: vec![], volume };
-        let halo = Halo::new(params.periodic, params.support()).over(params.ranks, particles);
+        let mut halo = Halo::new(params.periodic, params.support()).over(params.ranks, particles);
+        if params.bodies.can_move() {
+            halo.let_solids_move(particles, params.support());
+        }
         Self {
             walls: super::dummy_walls(&params, particles, &lattice, &mut support.neighbors),
             ranks: params.ranks,
@@ -149,6 +158,8 @@ impl<const D: usize> Isph<D> {
             assembler: Assembler::default(),
             pairs: vec![],
             reorder: ReorderScratch::default(),
+            afloat: Afloat::new(params.bodies.clone()),
+            answers: vec![],
             has_surface: true,
             acceleration: 0.0,
             steps: 0,
@@ -161,6 +172,7 @@ impl<const D: usize> Isph<D> {
     /// Neighbours, wet walls, and the moments of every support.
     fn survey(&mut self, particles: &mut Particles<D>) {
         self.halo.renew(particles);
+        self.afloat.survey(&self.params, particles, &self.lattice, &mut self.walls);
         let (walls, support) = (&self.walls, &mut self.support);
         let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
         let halo = &self.halo;
@@ -240,6 +252,8 @@ impl<const D: usize> Isph<D> {
             density: self.params.density,
             spacing: self.params.spacing,
             laplacian: self.method.laplacian,
+            bodies: (self.afloat.bodies.strong && self.afloat.bodies.can_move())
+                .then_some(&self.afloat.bodies),
         };
         self.assembler.assemble(&inputs, &self.halo, self.solver.needs());
     }
@@ -288,6 +302,83 @@ impl<const D: usize> Isph<D> {
         self.acceleration = self.ranks.max(largest.sqrt() / dt);
     }
 
+    /// Bodies at the drifted positions, and the accelerations that the pressure starts from.
+    fn depart(&mut self, particles: &mut Particles<D>, dt: f64) {
+        let Self { afloat, walls, params, .. } = self;
+        if !afloat.bodies.is_empty() {
+            afloat.bodies.foresee(dt);
+            afloat.bodies.depart(dt, 0.5 * dt);
+            afloat.bodies.place(particles, false);
+            afloat.accelerate(params, particles, afloat.bodies.strong, walls);
+        }
+    }
+
+    /// Motion of bodies, and with strong coupling the pressure that goes with it, [`crate::bodies::coupling`].
+    fn couple(
+        &mut self,
+        particles: &mut Particles<D>,
+        dt: f64,
+        mut record: SolveRecord,
+    ) -> Result<SolveRecord> {
+        let Self { afloat, assembler, solver, answers, .. } = self;
+        if afloat.bodies.is_empty() {
+            return Ok(record);
+        }
+        let strong = afloat.bodies.strong;
+        if strong {
+            let unknowns: Vec<(usize, usize)> = afloat.bodies.unknowns().collect();
+            answers.resize_with(unknowns.len(), Default::default);
+            for (unknown, (rhs, answer)) in unknowns.into_iter().zip(answers.iter_mut()) {
+                let density = self.params.density;
+                let step = |d| match afloat.bodies.movable(d) == Some(unknown.0) {
+                    true => density * afloat.bodies.pressure_step(particles, unknown, d),
+                    false => 0.0,
+                };
+                assembler.right_hand_side(step, rhs);
+                answer.clear();
+                answer.resize(rhs.len(), 0.0);
+                if self.ranks.any(rhs.iter().any(|value| *value != 0.0)) {
+                    let one = solver.solve_again(&assembler.system, rhs, answer)?;
+                    record.iterations += one.iterations;
+                    record.inner_iterations += one.inner_iterations;
+                    record.setup_s += one.setup_s;
+                    record.solve_s += one.solve_s;
+                }
+            }
+        }
+        assembler.scatter(particles);
+        let responses: Vec<Vec<f64>> = answers.iter_mut().map(|(_, answer)| std::mem::take(answer)).collect();
+        let flow = Flow {
+            particles,
+            active: &self.support.active,
+            halo: &self.halo,
+            gravity: self.params.gravity,
+            density: self.params.density,
+            accelerations: &afloat.accelerations,
+            pressure: true,
+            repulsion: &[],
+            clip: self.method.clip_negative_pressure,
+            response: strong.then_some((&responses[..], &assembler.row_of[..])),
+        };
+        let q = afloat.bodies.advance(&flow, dt);
+        for ((response, q), (_, answer)) in responses.into_iter().zip(&q).zip(answers.iter_mut()) {
+            assembler.system.pressure.iter_mut().zip(&response).for_each(|(p, per_unit)| *p += q * per_unit);
+            *answer = response;
+        }
+        if strong {
+            afloat.accelerate(&self.params, particles, false, &mut self.walls);
+        }
+        Ok(record)
+    }
+
+    /// Bodies where the step takes them.
+    fn arrive(&mut self, particles: &mut Particles<D>, dt: f64) {
+        if !self.afloat.bodies.is_empty() {
+            self.afloat.bodies.arrive(dt);
+            self.afloat.bodies.place(particles, true);
+        }
+    }
+
     fn collide(&mut self, particles: &mut Particles<D>) -> usize {
         match self.method.collisions {
             Some(collisions) => {
@@ -333,15 +424,18 @@ impl<const D: usize> Scheme<D> for Isph<D> {
             let (neighbors, support) = (&mut self.support.neighbors, self.params.support());
             sort(particles, neighbors, support, self.steps, &mut self.reorder);
             drift(particles, dt);
+            self.depart(particles, dt);
             self.survey(particles);
         });
         watch.time("predict", || self.predict(particles, dt));
         watch.time("assemble", || self.assemble(particles));
         let solved = watch.time("solve", || self.solver.solve(&mut self.assembler.system));
+        let solved = watch.time("bodies", || solved.and_then(|record| self.couple(particles, dt, record)));
         watch.time("correct", || {
             if solved.is_ok() {
                 report.clipped = self.take_pressure(particles);
                 self.correct(particles, dt);
+                self.arrive(particles, dt);
                 report.collisions = self.collide(particles);
                 self.finish_positions(particles, dt);
             }
@@ -361,6 +455,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         let dt = 0.1 * self.max_dt(particles);
         // The divergence that the pressure answers to shows only as the liquid moves.
         drift(particles, dt);
+        self.depart(particles, dt);
         self.survey(particles);
         self.has_surface = self.ranks.max(self.surface.iter().copied().fold(0.0, f64::max)) > 0.0;
         self.predict(particles, dt);
@@ -369,6 +464,8 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         self.solver.solve(&mut self.assembler.system)?;
         self.take_pressure(particles);
         drift(particles, -dt);
+        self.afloat.bodies.turn_back();
+        self.afloat.bodies.place(particles, true);
         Ok(())
     }
 
@@ -417,5 +514,14 @@ impl<const D: usize> Scheme<D> for Isph<D> {
 
     fn stages(&self) -> &Stages {
         &self.stages
+    }
+
+    fn bodies(&self) -> &Bodies<D> {
+        &self.afloat.bodies
+    }
+
+    fn bodies_mut(&mut self) -> &mut Bodies<D> {
+        self.afloat.surveyed.clear();
+        &mut self.afloat.bodies
     }
 }

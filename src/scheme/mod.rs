@@ -5,8 +5,10 @@ pub mod still;
 pub mod wcsph;
 
 use crate::Result;
+use crate::bodies::{Bodies, Matrix3};
 use crate::boundary::DummyWalls;
 use crate::case::Slip;
+use crate::form::Point;
 use crate::halo::{Halo, PeriodicBox};
 use crate::kernel::{CubicSpline, KernelKind, LatticeSums, Quintic, Smoothing, WendlandC2};
 use crate::neighbors::{Layout, Neighbors};
@@ -39,6 +41,8 @@ pub struct Params<const D: usize> {
     pub periodic: Option<PeriodicBox<D>>,
     /// Ranks that share the particles.
     pub ranks: Ranks,
+    /// Rigid bodies at the start.
+    pub bodies: Bodies<D>,
 }
 
 impl<const D: usize> Params<D> {
@@ -130,6 +134,57 @@ fn dummy_walls<const D: usize>(
     DummyWalls::new(particles, neighbors, lattice, params.volume(), params.density * params.gravity)
 }
 
+/// What schemes keep for bodies: their walls among other solids.
+#[derive(Debug, Default)]
+struct Afloat<const D: usize> {
+    bodies: Bodies<D>,
+    solids: Neighbors<D>,
+    accelerations: Vec<Vector<D>>,
+    /// Where bodies were when their surroundings were last looked at.
+    surveyed: Vec<(Point, Matrix3)>,
+}
+
+impl<const D: usize> Afloat<D> {
+    fn new(bodies: Bodies<D>) -> Self {
+        Self { bodies, ..Self::default() }
+    }
+
+    /// Measures the walls around bodies that have moved since the last time, and finds what covers their faces.
+    fn survey(
+        &mut self,
+        params: &Params<D>,
+        particles: &Particles<D>,
+        lattice: &LatticeSums,
+        walls: &mut DummyWalls<D>,
+    ) {
+        if self.bodies.poses().eq(self.surveyed.iter().copied()) {
+            return;
+        }
+        self.surveyed.clear();
+        self.surveyed.extend(self.bodies.poses());
+        let (reach, solids) = (params.support(), particles.solids());
+        let is_near = |a: usize| a < particles.walls().end && self.bodies.is_near(particles, a, reach);
+        let threshold = |a: usize| if is_near(a) { f64::NEG_INFINITY } else { f64::INFINITY };
+        let layout = Layout::without_ghosts(solids, solids);
+        let (h, places) = (params.smoothing_length(), &particles.position[..solids]);
+        self.solids.search(params.kernel, h, places, &layout, threshold);
+        walls.measure(&self.solids, lattice, params.volume(), is_near);
+        self.bodies.find_open_faces(particles, &self.solids);
+    }
+
+    /// Lets dummies feel the accelerations of bodies, or with `known` those that the pressure does not change.
+    fn accelerate(
+        &mut self,
+        params: &Params<D>,
+        particles: &Particles<D>,
+        known: bool,
+        walls: &mut DummyWalls<D>,
+    ) {
+        self.bodies.accelerations(particles, known, &mut self.accelerations);
+        walls.set_accelerations(params.density, |inertial| inertial.clone_from(&self.accelerations));
+    }
+}
+
 /// A method that advances particles in time.
 pub trait Scheme<const D: usize> {
     /// Advances `particles` by `dt` s. On an error the particles are left as they were at that moment.
@@ -170,6 +225,12 @@ pub trait Scheme<const D: usize> {
 
     /// Time spent by stage since the start.
     fn stages(&self) -> &Stages;
+
+    /// Rigid bodies in the flow.
+    fn bodies(&self) -> &Bodies<D>;
+
+    /// Takes bodies in, or lets them be changed between steps.
+    fn bodies_mut(&mut self) -> &mut Bodies<D>;
 }
 
 /// How compressible a weakly compressible liquid was.

@@ -3,6 +3,7 @@
 //! Looking costs what gathering and one neighbour search on one rank cost, and the memory of the whole scene there.
 
 use super::{Compressibility, Fields, Params, Scheme, Stages, StepReport};
+use crate::bodies::Bodies;
 use crate::halo::Halo;
 use crate::neighbors::{Layout, Neighbors};
 use crate::parallel::{Packed, Ranks};
@@ -23,6 +24,7 @@ pub struct Still<const D: usize> {
     state: Vec<f64>,
     compressibility: Option<Compressibility>,
     stages: Stages,
+    bodies: Bodies<D>,
 }
 
 /// One particle on its way to the first rank: number if it is a solid, state, crowding, surface weight, activity, force.
@@ -73,6 +75,7 @@ impl<const D: usize> Still<D> {
             state: scheme.state(),
             compressibility: scheme.compressibility(),
             stages: scheme.stages().clone(),
+            bodies: scheme.bodies().clone(),
         };
         let first = whole.solids();
         let numbered = liquid.into_iter().enumerate().map(|(k, record)| (first + k, record));
@@ -174,5 +177,13 @@ impl<const D: usize> Scheme<D> for Still<D> {
 
     fn stages(&self) -> &Stages {
         &self.stages
+    }
+
+    fn bodies(&self) -> &Bodies<D> {
+        &self.bodies
+    }
+
+    fn bodies_mut(&mut self) -> &mut Bodies<D> {
+        &mut self.bodies
     }
 }

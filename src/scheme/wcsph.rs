@@ -75,15 +75,18 @@
 //! state that checkpoints and leaving particles must carry along.
 
 use super::{
-    ACCELERATION_NUMBER, Compressibility, Fields, Params, Scheme, Stages, StepReport, VISCOUS_NUMBER, drift,
-    fastest, sort,
+    ACCELERATION_NUMBER, Afloat, Compressibility, Fields, Params, Scheme, Stages, StepReport, VISCOUS_NUMBER,
+    drift, fastest, sort,
 };
 use crate::Result;
+use crate::bodies::Bodies;
+use crate::bodies::coupling::Flow;
 use crate::boundary::DummyWalls;
 use crate::boundary::extrapolation::Extrapolation;
 use crate::boundary::repulsion::Repulsion;
 use crate::case::{DiffusionKind, Slip, Stepping};
 use crate::halo::Halo;
+use crate::kernel::LatticeSums;
 use crate::neighbors::{LANES, Layout, Neighbors, Row};
 use crate::operators::{Moments, Surroundings};
 use crate::parallel::Ranks;
@@ -194,6 +197,8 @@ pub struct Wcsph<const D: usize> {
     moves: Vec<(Vector<D>, Vector<D>)>,
     wall_force: Vec<Vector<D>>,
     reorder: ReorderScratch<D>,
+    afloat: Afloat<D>,
+    lattice: LatticeSums,
     /// sum -V F r^2 / D on the lattice.
     lattice_laplacian: f64,
     /// False in a scene without air, see [`surface`].
@@ -211,10 +216,14 @@ impl<const D: usize> Wcsph<D> {
         let mut neighbors = Neighbors::default();
         let lattice = params.lattice_sums();
         let walls = super::dummy_walls(&params, particles, &lattice, &mut neighbors);
+        let mut halo = Halo::new(params.periodic, params.support()).over(params.ranks, particles);
+        if params.bodies.can_move() {
+            halo.let_solids_move(particles, params.support());
+        }
         Self {
             state_equation: Tait::new(params.density, method.sound_speed),
             ranks: params.ranks,
-            halo: Halo::new(params.periodic, params.support()).over(params.ranks, particles),
+            halo,
             walls,
             neighbors,
             wet: vec![],
@@ -230,6 +239,8 @@ impl<const D: usize> Wcsph<D> {
             moves: vec![],
             wall_force: vec![],
             reorder: ReorderScratch::default(),
+            afloat: Afloat::new(params.bodies.clone()),
+            lattice,
             lattice_laplacian: lattice.laplacian,
             has_surface: true,
             acceleration: 0.0,
@@ -244,6 +255,7 @@ impl<const D: usize> Wcsph<D> {
     /// Neighbours of liquid and of solids near it, and which walls are wet.
     fn survey(&mut self, particles: &mut Particles<D>) {
         self.halo.renew(particles);
+        self.afloat.survey(&self.params, particles, &self.lattice, &mut self.walls);
         // Any liquid at all gives a solid its row. Dummies of repulsive walls do nothing, and no liquid comes near those
         // a support behind the face.
         let (walls, solids, support) = (particles.walls().end, particles.solids(), self.params.support());
@@ -316,6 +328,7 @@ impl<const D: usize> Wcsph<D> {
         let (density_s, density) = self.density.split_at_mut(first);
         let (push_s, push) = self.push.split_at_mut(first);
         let (neighbors, position, gravity) = (&self.neighbors, &particles.position, &self.params.gravity);
+        let accelerations = &self.afloat.accelerations;
         let (density, push) = (&*density, &*push);
         let pressure = |f: usize| push[f - first] * density[f - first].powi(2);
         (&mut particles.pressure[..first], push_s, density_s)
@@ -332,7 +345,10 @@ impl<const D: usize> Wcsph<D> {
                 for (f, weight, _) in row.iter() {
                     sums.add(weight, pressure(f), density[f - first], &(r_w - position[f]));
                 }
-                *p = sums.pressure(gravity);
+                *p = match accelerations.get(w) {
+                    Some(a_w) => sums.pressure(&(gravity - a_w)),
+                    None => sums.pressure(gravity),
+                };
                 *rho = state_equation.density(*p);
                 *push = *p / (*rho * *rho);
             });
@@ -500,6 +516,7 @@ impl<const D: usize> Wcsph<D> {
         watch.time("pressure", || self.pressures(particles));
         watch.time("rates", || self.rates(particles));
         self.kick(particles, dt);
+        self.move_bodies(particles, dt);
         watch.time("continuity", || self.continuity(particles, 0.5 * dt));
         self.diffuse(particles, dt);
     }
@@ -518,6 +535,29 @@ impl<const D: usize> Wcsph<D> {
             watch.time("rates", || self.rates(particles));
             self.advance(particles, reach);
         }
+        self.move_bodies(particles, dt);
+    }
+
+    /// New velocities of bodies, from the forces in the middle of the step.
+    fn move_bodies(&mut self, particles: &mut Particles<D>, dt: f64) {
+        if self.afloat.bodies.is_empty() {
+            return;
+        }
+        self.push_walls(particles);
+        let flow = Flow {
+            particles,
+            active: &self.active,
+            halo: &self.halo,
+            gravity: self.params.gravity,
+            density: self.params.density,
+            accelerations: &self.afloat.accelerations,
+            pressure: self.method.wall_pressure,
+            repulsion: &self.wall_force,
+            clip: false,
+            response: None,
+        };
+        self.afloat.bodies.advance(&flow, dt);
+        self.afloat.bodies.place(particles, true);
     }
 
     fn shift(&mut self, particles: &mut Particles<D>, dt: f64) {
@@ -549,6 +589,17 @@ impl<const D: usize> Wcsph<D> {
         self.halo.refresh(particles.originals(), &mut self.crowding);
         self.acceleration = self.ranks.max(acceleration.sqrt());
         self.largest_variation = self.ranks.max(variation).max(self.largest_variation);
+    }
+
+    /// Bodies in the middle of the step; dummies feel their last accelerations.
+    fn depart(&mut self, particles: &mut Particles<D>, dt: f64) {
+        let Self { afloat, walls, params, .. } = self;
+        if !afloat.bodies.is_empty() {
+            afloat.bodies.foresee(dt);
+            afloat.bodies.depart(dt, 0.0);
+            afloat.bodies.place(particles, false);
+            afloat.accelerate(params, particles, false, walls);
+        }
     }
 
     /// The reaction to repulsive walls.
@@ -705,6 +756,7 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
         watch.time("neighbours", || {
             sort(particles, &mut self.neighbors, self.params.support(), self.steps, &mut self.reorder);
             drift(particles, 0.5 * dt);
+            self.depart(particles, dt);
             self.survey(particles);
             self.densities(particles);
         });
@@ -717,6 +769,10 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
             watch.time("shift", || self.shift(particles, dt));
         }
         drift(particles, 0.5 * dt);
+        if !self.afloat.bodies.is_empty() {
+            self.afloat.bodies.arrive(dt);
+            self.afloat.bodies.place(particles, true);
+        }
         self.conclude(particles);
         self.stages = watch;
         self.steps += 1;
@@ -788,5 +844,14 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
 
     fn stages(&self) -> &Stages {
         &self.stages
+    }
+
+    fn bodies(&self) -> &Bodies<D> {
+        &self.afloat.bodies
+    }
+
+    fn bodies_mut(&mut self) -> &mut Bodies<D> {
+        self.afloat.surveyed.clear();
+        &mut self.afloat.bodies
     }
 }
