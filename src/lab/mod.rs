@@ -1,7 +1,7 @@
 //! The solver laboratory: many sets of PETSc options on the same pressure systems.
 //!
 //! The systems are those of a real run at chosen instants, saved with their first guesses, or files of an earlier one. Each set
-//! is tried in a program of its own ([`trial`]), in which the pressure solver of a run does exactly what it would do
+//! is tried in a program of its own ([`try_set`]), in which the pressure solver of a run does exactly what it would do
 //! there, without its fallbacks: a set that diverges, breaks or takes too long is a row like any other.
 //!
 //! **Measures.** Times are those of one solve, set-up with all its matrices included since the matrix changes with every step;
@@ -13,9 +13,11 @@
 //! **Choice.** Pareto-best is a set that no other beats in both time and pressure error. The set to choose is the fastest that
 //! reaches the tolerance of a run, 1e-5, on every system of Eq. (3).
 
+mod row;
 pub(crate) mod sets;
 mod table;
-pub mod trial;
+#[cfg(feature = "petsc")]
+mod trial;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -26,9 +28,9 @@ use crate::case::{CaseFile, SchemeKind};
 use crate::child::{Child, Ended};
 use crate::cli::{self, RunArgs, SolversArgs, TrialArgs};
 use crate::{Error, Result, run};
+use row::Row;
 use sets::OptionSet;
 use table::{Entry, Tried};
-use trial::Row;
 
 /// The built-in option sets, one a line.
 pub const CATALOGUE: &str = include_str!("catalogue.txt");
@@ -85,6 +87,24 @@ pub fn solvers(args: &SolversArgs) -> Result<()> {
         Some(chosen) => lab.say(&lab.advice(chosen, &tried)),
         None => Err(Error::Run(format!("no option set reaches a residual of {RELATIVE:e} on every system"))),
     }
+}
+
+/// Tries one option set, for [`solvers`].
+///
+/// # Errors
+/// [`Error::Input`] for options that do not work and for files that cannot be read.
+#[cfg(feature = "petsc")]
+pub fn try_set(args: &TrialArgs) -> Result<()> {
+    trial::run(args)
+}
+
+/// Without PETSc there is nothing to try.
+///
+/// # Errors
+/// [`Error::Input`] always.
+#[cfg(not(feature = "petsc"))]
+pub fn try_set(_: &TrialArgs) -> Result<()> {
+    Err(needs_petsc())
 }
 
 /// What a build without PETSc says.
@@ -321,7 +341,7 @@ impl Lab<'_> {
 
     fn has_truth(&self, system: &System, uncorrected: bool) -> bool {
         let stem = system.file.file_stem().unwrap_or_default().to_string_lossy();
-        self.truth().join(trial::truth_name(&stem, uncorrected)).exists()
+        self.truth().join(row::truth_name(&stem, uncorrected)).exists()
     }
 
     /// Tries a set on all systems, for the truth on those that still lack one: a row for each, also where there is no solution.
