@@ -52,7 +52,7 @@ fn execute(ranks: Ranks) -> Result<()> {
             start_log(args.common.log_level());
             lab::solvers(&args)
         }
-        Command::Trial(args) => lab::trial::run(&args),
+        Command::Trial(args) => lab::try_set(&args),
         Command::Study(args) if args.list => cli::print(&study::list()),
         Command::Study(args) => {
             start_log(args.common.log_level());

@@ -47,7 +47,7 @@ mod runs {
     use serde_json::Value;
     use sphpetsc::output::checkpoint;
 
-    use super::common::{command, done};
+    use super::common::{command, done, stdout};
     use super::*;
     use tempfile::TempDir;
 
@@ -126,6 +126,65 @@ mod runs {
         assert_eq!(before, files.each_ref().map(|run| written(&run.join("summary.json"))));
         done(&folder, &format!("{other} --force"));
         assert!(written(&files[0].join("summary.json")) > before[0]);
+    }
+
+    #[test]
+    fn all_axes_are_combined_and_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let line = "study dam_break_2d --spacings 0.04 --tolerances 1e-2,1e-8 --vary scheme.laplacian=schwaiger,shao_lo \
+                    --until 0.05 --threads 1 --out out";
+        let study = || {
+            let output =
+                command(&folder, line).args(["--solver", "-ksp_type cg -pc_type icc"]).output().unwrap();
+            assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+            stdout(&output)
+        };
+        let said = study();
+        assert!(said.contains("4 runs") && said.contains("no other run is better"), "{said}");
+        let text = fs::read_to_string(folder.path().join("out/study.csv")).unwrap();
+        let mut sheet = csv::Reader::from_reader(text.as_bytes());
+        let rows: Vec<std::collections::BTreeMap<String, String>> =
+            sheet.deserialize().map(|row| row.unwrap()).collect();
+        assert_eq!(rows.len(), 4);
+        for row in &rows {
+            let case =
+                fs::read_to_string(folder.path().join("out").join(&row["run"]).join("run.toml")).unwrap();
+            let rtol: f64 = row["rtol"].parse().unwrap();
+            assert!(case.contains(&format!("-ksp_type cg -pc_type icc -ksp_rtol {rtol:?}")), "{case}");
+            assert!(case.contains(&format!("laplacian = \"{}\"", row["scheme.laplacian"])), "{case}");
+            assert_eq!(row["solver"], "-ksp_type cg -pc_type icc");
+            let summary = summary(&folder.path().join("out").join(&row["run"]));
+            let solve: f64 = row["solve_s"].parse().unwrap();
+            assert_eq!(Some(solve), summary["stages_s"]["solve"].as_f64());
+            // The tightest of each form is what the others are measured by.
+            let is_finest = rtol == 1e-8;
+            assert_eq!(row["finest_front_m_rms"] == "none", is_finest, "{row:?}");
+        }
+        assert!(rows.iter().any(|row| row["pareto"] == "yes"));
+        assert!(study().contains("4 of them done before"));
+    }
+
+    #[test]
+    fn a_study_file_has_groups_and_built_in_ones_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = "description = \"two groups\"\ncase = \"dam_break_2d\"\nuntil = 0.03\nspacings = [0.08, 0.04]\n\
+                    [[group]]\nname = \"small steps\"\nset = { \"time.step\" = 1e-3 }\n\
+                    [[group]]\nname = \"explicit\"\nschemes = [\"wcsph\"]\ntolerances = [1e-3, 1e-6]\n";
+        fs::write(folder.path().join("mine.toml"), text).unwrap();
+        let said = done(&folder, "study mine.toml --threads 1 --out out");
+        assert!(said.starts_with("two groups\nstudy of mine: 4 runs until 0.03 s"), "{said}");
+        let (head, rows) = table(&folder);
+        assert!(head.contains(&"group".to_owned()) && !head.contains(&"rtol".to_owned()), "{head:?}");
+        assert_eq!(rows.len(), 4);
+        fs::write(folder.path().join("mine.toml"), text.replace("spacings", "spacngs")).unwrap();
+        let output = run(&folder, "study mine.toml --out other");
+        assert_eq!(output.status.code(), Some(2));
+        assert!(stderr(&output).contains("unknown field `spacngs`"), "{}", stderr(&output));
+        assert!(!folder.path().join("other").exists());
+        let said =
+            done(&folder, "study paper_comparison --spacings 0.04 --until 0.02 --threads 1 --out paper");
+        assert!(said.contains("study of paper_comparison: 6 runs"), "{said}");
+        assert!(done(&folder, "study --list").lines().count() >= 9);
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! The solver laboratory: many sets of PETSc options on the same pressure systems.
 //!
 //! The systems are those of a real run at chosen instants, saved with their first guesses, or files of an earlier one. Each set
-//! is tried in a program of its own ([`trial`]), in which the pressure solver of a run does exactly what it would do
+//! is tried in a program of its own ([`try_set`]), in which the pressure solver of a run does exactly what it would do
 //! there, without its fallbacks: a set that diverges, breaks or takes too long is a row like any other.
 //!
 //! **Measures.** Times are those of one solve, set-up with all its matrices included since the matrix changes with every step;
-//! the fastest of up to three. The residual is |b - A p| / |b|, computed afresh. The pressure error is |p - p_direct| / |p_direct|
+//! the fastest of several. The residual is |b - A p| / |b|, computed afresh. The pressure error is |p - p_direct| / |p_direct|
 //! in the Euclidean norm, with p_direct by MUMPS, or where that runs out of time by an iteration to 1e-12. The divergence left is
 //! dt rms(b - A p): the operator is the divergence of the correction, so what the equation misses is what the
 //! corrected velocity keeps of it. Memory is the largest of the program beyond PETSc's start.
@@ -13,9 +13,11 @@
 //! **Choice.** Pareto-best is a set that no other beats in both time and pressure error. The set to choose is the fastest that
 //! reaches the tolerance of a run, 1e-5, on every system of Eq. (3).
 
+mod row;
 pub(crate) mod sets;
 mod table;
-pub mod trial;
+#[cfg(feature = "petsc")]
+mod trial;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -26,9 +28,9 @@ use crate::case::{CaseFile, SchemeKind};
 use crate::child::{Child, Ended};
 use crate::cli::{self, RunArgs, SolversArgs, TrialArgs};
 use crate::{Error, Result, run};
+use row::Row;
 use sets::OptionSet;
 use table::{Entry, Tried};
-use trial::Row;
 
 /// The built-in option sets, one a line.
 pub const CATALOGUE: &str = include_str!("catalogue.txt");
@@ -87,6 +89,24 @@ pub fn solvers(args: &SolversArgs) -> Result<()> {
     }
 }
 
+/// Tries one option set, for [`solvers`].
+///
+/// # Errors
+/// [`Error::Input`] for options that do not work and for files that cannot be read.
+#[cfg(feature = "petsc")]
+pub fn try_set(args: &TrialArgs) -> Result<()> {
+    trial::run(args)
+}
+
+/// Without PETSc there is nothing to try.
+///
+/// # Errors
+/// [`Error::Input`] always.
+#[cfg(not(feature = "petsc"))]
+pub fn try_set(_: &TrialArgs) -> Result<()> {
+    Err(needs_petsc())
+}
+
 /// What a build without PETSc says.
 fn needs_petsc() -> Error {
     Error::Input("this build leaves PETSc out, and `solvers` tries its solvers: build with the feature petsc (the default)".into())
@@ -123,8 +143,8 @@ struct Source {
     /// For titles, and for the line to paste.
     name: String,
     folder: PathBuf,
-    /// The run that is to be done for them, and the names of its instants; none: the files are there.
-    run: Option<(RunArgs, CaseFile, Vec<(String, f64)>)>,
+    /// The run that is to be done for them; none: the files are there.
+    run: Option<RunArgs>,
     files: Vec<PathBuf>,
 }
 
@@ -160,10 +180,10 @@ impl Source {
             )));
         }
         let instants = instants(args, &case)?;
-        let last = instants.iter().map(|(_, time)| *time).fold(0.0, f64::max);
+        let last = instants.iter().copied().fold(0.0, f64::max);
         run.common.until = Some(last.max(1e-9));
         run.common.set.push(("output.particles".into(), "0".into()));
-        run.save_systems = instants.iter().map(|(_, time)| *time).collect();
+        run.save_systems = instants;
         let case = run.load_case()?;
         let folder =
             args.out.clone().unwrap_or_else(|| Path::new("out").join(format!("{}-solvers", case.name)));
@@ -171,7 +191,7 @@ impl Source {
         let run = run::left_to_do(run, &case, &folder.join("run"), args.force)?;
         let files = vec![];
         Ok(match run {
-            Some(run) => Self { name, folder, run: Some((run, case, instants)), files },
+            Some(run) => Self { name, folder, run: Some(run), files },
             None => Self { name, run: None, files: saved_files(&folder.join("run/systems"))?, folder },
         })
     }
@@ -179,7 +199,7 @@ impl Source {
     /// Does the run, if need be, and finds what it saved.
     fn systems(&self, args: &SolversArgs, child: &Child) -> Result<Vec<System>> {
         let mut files = self.files.clone();
-        if let Some((run, ..)) = &self.run {
+        if let Some(run) = &self.run {
             log::info!("a run until {} s for the pressure systems", run.common.until.unwrap_or_default());
             let ended = child.run(&run.tokens())?;
             if !ended.success() {
@@ -199,8 +219,8 @@ impl Source {
     }
 }
 
-/// Names and times in s of the instants to look at, ascending.
-fn instants(args: &SolversArgs, case: &CaseFile) -> Result<Vec<(String, f64)>> {
+/// The instants to look at in s, ascending.
+fn instants(args: &SolversArgs, case: &CaseFile) -> Result<Vec<f64>> {
     if let Some(late) = args.at.iter().find(|time| **time > case.time.until) {
         return Err(Error::Input(format!(
             "--at names {late:?} s, after the end at {:?} s: leave it out or raise --until",
@@ -219,7 +239,7 @@ fn instants(args: &SolversArgs, case: &CaseFile) -> Result<Vec<(String, f64)>> {
     }
     times.sort_by(f64::total_cmp);
     times.dedup();
-    Ok(times.into_iter().map(|time| (format!("t{time}"), time)).collect())
+    Ok(times)
 }
 
 /// sqrt(H / |g|) in s; infinite without gravity.
@@ -321,7 +341,7 @@ impl Lab<'_> {
 
     fn has_truth(&self, system: &System, uncorrected: bool) -> bool {
         let stem = system.file.file_stem().unwrap_or_default().to_string_lossy();
-        self.truth().join(trial::truth_name(&stem, uncorrected)).exists()
+        self.truth().join(row::truth_name(&stem, uncorrected)).exists()
     }
 
     /// Tries a set on all systems, for the truth on those that still lack one: a row for each, also where there is no solution.

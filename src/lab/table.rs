@@ -6,8 +6,8 @@ use std::path::Path;
 use serde_json::json;
 
 use super::System;
+use super::row::Row;
 use super::sets::OptionSet;
-use super::trial::Row;
 use crate::output::picture::curves::{Curve, Mark, loglog_plot};
 use crate::output::{Cell, aligned, pareto, write_atomic};
 use crate::{Error, Result};

@@ -1,85 +1,44 @@
 //! One option set on pressure systems, in a program of its own: what it costs and how good its pressure is.
 
+use std::io::Write as _;
 use std::path::Path;
+use std::rc::Rc;
 
-use serde::{Deserialize, Serialize};
-
+use super::row::{Row, truth_name};
 use crate::cli::TrialArgs;
-use crate::ppe::PressureSystem;
+use crate::memory;
+use crate::output::write_atomic;
+use crate::parallel::Ranks;
+use crate::petsc::Session;
+use crate::ppe::solve::PressureSolver;
+use crate::ppe::{PressureSystem, matrix, saved};
 use crate::{Error, Result};
 
-/// What one option set did on one system. Measures are none where there is nothing to measure.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Row {
-    /// Name of the system.
-    pub system: String,
-    /// Number of unknowns.
-    pub unknowns: usize,
-    /// Stored entries of the operator.
-    pub nonzeros: usize,
-    /// Whether the true residual is within the tolerance of the set.
-    pub converged: bool,
-    /// PETSc's name of why the iteration ended.
-    pub reason: String,
-    /// Iterations on the full operator, and of the inner solver.
-    pub iterations: usize,
-    /// Iterations of the inner solver, where there is one.
-    pub inner_iterations: usize,
-    /// Time of matrices and preconditioner in s.
-    pub setup_s: f64,
-    /// Time of the iteration in s.
-    pub solve_s: f64,
-    /// Entries of all levels, or of the factors, over those of the matrix they were made from.
-    pub complexity: Option<f64>,
-    /// Memory that system, matrices and preconditioner take, in MB.
-    pub memory_mb: Option<f64>,
-    /// |b - A p| / |b|.
-    pub residual: Option<f64>,
-    /// Root mean square of b - A p in 1/s2: times the time step it is the divergence that the velocity keeps.
-    pub defect: Option<f64>,
-    /// |p - p_direct| / |p_direct|.
-    pub pressure_error: Option<f64>,
-    /// Why there is no solution.
-    pub failure: Option<String>,
-}
-
-impl Row {
-    /// Set-up and iteration in s.
-    pub fn total_s(&self) -> f64 {
-        self.setup_s + self.solve_s
-    }
-}
-
-#[cfg(not(feature = "petsc"))]
-/// Without PETSc there is nothing to try.
-pub fn run(_: &TrialArgs) -> Result<()> {
-    Err(super::needs_petsc())
-}
+/// Most solves of one system, and the times in s after which none is added to three, and none at all.
+const PASSES: usize = 20;
+const ENOUGH: f64 = 0.3;
+const LONG: f64 = 2.0;
 
 /// Tries the options of `args` on each system and appends a row for each to its file.
 ///
 /// # Errors
 /// [`Error::Input`] for options that do not work and for files that cannot be read.
-#[cfg(feature = "petsc")]
 pub fn run(args: &TrialArgs) -> Result<()> {
-    use std::io::Write as _;
-
-    let session = crate::petsc::Session::start(&args.petsc)?;
-    let at_start = crate::memory::resident_mb();
+    let session = Session::start(&args.petsc)?;
+    let at_start = memory::resident_mb();
     for path in &args.systems {
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let mut row = Row { system: name, ..Row::default() };
         let system = system(path, args.uncorrected)?;
         row.unknowns = system.rhs.len();
         row.nonzeros = system.full.value.len();
-        crate::memory::reset_peak();
+        memory::reset_peak();
         match solve(&session, &system, &mut row) {
             Ok(pressure) => judge(args, &system, &pressure, &mut row)?,
             Err(Error::Input(wrong)) => return Err(Error::Input(wrong)),
             Err(failure) => row.failure = Some(failure.to_string().replace('\n', " ")),
         }
-        row.memory_mb = crate::memory::peak_mb().zip(at_start).map(|(peak, start)| peak - start);
+        row.memory_mb = memory::peak_mb().zip(at_start).map(|(peak, start)| peak - start);
         let line = serde_json::to_string(&row).map_err(|error| Error::Run(error.to_string()))?;
         let mut file = std::fs::OpenOptions::new().create(true).append(true).open(&args.rows);
         let written =
@@ -90,11 +49,7 @@ pub fn run(args: &TrialArgs) -> Result<()> {
 }
 
 /// A system as it is to be solved.
-#[cfg(feature = "petsc")]
 fn system(path: &Path, uncorrected: bool) -> Result<PressureSystem> {
-    use crate::parallel::Ranks;
-    use crate::ppe::{matrix, saved};
-
     let mut system = saved::read(path)?;
     if uncorrected {
         if system.uncorrected.is_empty() {
@@ -114,14 +69,7 @@ fn system(path: &Path, uncorrected: bool) -> Result<PressureSystem> {
 }
 
 /// Short solves are repeated, and the fastest counts: a single one measures the machine's mood too.
-#[cfg(feature = "petsc")]
-fn solve(
-    session: &std::rc::Rc<crate::petsc::Session>,
-    system: &PressureSystem,
-    row: &mut Row,
-) -> Result<Vec<f64>> {
-    use crate::ppe::solve::PressureSolver;
-
+fn solve(session: &Rc<Session>, system: &PressureSystem, row: &mut Row) -> Result<Vec<f64>> {
     let mut solver = PressureSolver::new(session.clone(), system.rhs.len())?;
     let (mut pressure, mut spent) = (vec![], 0.0);
     for pass in 0..PASSES {
@@ -136,21 +84,14 @@ fn solve(
         (row.inner_iterations, row.complexity) = (record.inner_iterations, trial.complexity);
         pressure = trial.pressure;
         spent += total;
-        if spent > LONG {
+        if spent > LONG || (pass >= 2 && spent > ENOUGH) {
             break;
         }
     }
     Ok(pressure)
 }
 
-/// Most solves of one system, and the time in s after which none is added.
-#[cfg(feature = "petsc")]
-const PASSES: usize = 3;
-#[cfg(feature = "petsc")]
-const LONG: f64 = 2.0;
-
 /// Measures a pressure, or keeps it as the one to measure others by.
-#[cfg(feature = "petsc")]
 fn judge(args: &TrialArgs, system: &PressureSystem, pressure: &[f64], row: &mut Row) -> Result<()> {
     let made = system.full.multiply(pressure);
     let missing: f64 = system.rhs.iter().zip(&made).map(|(b, made)| (b - made).powi(2)).sum();
@@ -161,7 +102,7 @@ fn judge(args: &TrialArgs, system: &PressureSystem, pressure: &[f64], row: &mut 
     let file = args.truth.join(truth_name(&row.system, args.uncorrected));
     if args.is_truth && row.converged {
         let bytes: Vec<u8> = pressure.iter().flat_map(|p| p.to_le_bytes()).collect();
-        crate::output::write_atomic(&file, |to| std::io::Write::write_all(to, &bytes))?;
+        write_atomic(&file, |to| to.write_all(&bytes))?;
     }
     if let Ok(bytes) = std::fs::read(&file) {
         let (words, _) = bytes.as_chunks::<8>();
@@ -172,9 +113,4 @@ fn judge(args: &TrialArgs, system: &PressureSystem, pressure: &[f64], row: &mut 
         row.pressure_error = finite(error);
     }
     Ok(())
-}
-
-/// File of the true pressures of a system.
-pub fn truth_name(system: &str, uncorrected: bool) -> String {
-    format!("{system}{}.pressure", if uncorrected { "-uncorrected" } else { "" })
 }

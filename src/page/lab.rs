@@ -86,17 +86,17 @@ fn plots(sheet: &Sheet, rows: &[Vec<Value>]) -> Result<Vec<Plot>> {
     let (Some(times), Some(errors), Some(options), Some(system), Some(converged), Some(pareto)) = all else {
         return Ok(vec![]);
     };
-    let mut systems: Vec<String> = Vec::new();
-    for name in rows.iter().map(|row| row[system].to_string()) {
+    let mut systems: Vec<&Value> = Vec::new();
+    for name in rows.iter().map(|row| &row[system]) {
         if !systems.contains(&name) {
             systems.push(name);
         }
     }
-    let plot = |name: &String| {
+    let plot = |name: &&Value| {
         let point = |best: bool| {
             let is_shown = move |k: &usize| {
                 let row = &rows[*k];
-                row[system].to_string() == *name && row[converged] == "yes" && (row[pareto] == "yes") == best
+                row[system] == **name && row[converged] == "yes" && (row[pareto] == "yes") == best
             };
             let place = |k: usize| {
                 // Logarithms take only what is above 0: the direct solution has no error against itself.
@@ -113,7 +113,7 @@ fn plots(sheet: &Sheet, rows: &[Vec<Value>]) -> Result<Vec<Plot>> {
             (0..rows.len()).filter(is_shown).filter_map(place).collect::<Vec<_>>()
         };
         Plot {
-            title: name.trim_matches('"').to_owned(),
+            title: name.to_string().trim_matches('"').to_owned(),
             x: "set-up and iteration, s".into(),
             y: "pressure error".into(),
             log: true,

@@ -33,6 +33,15 @@ impl PressureSolve for Recorder {
         self.inner.solve(system)
     }
 
+    fn solve_again(
+        &mut self,
+        system: &PressureSystem,
+        rhs: &[f64],
+        pressure: &mut Vec<f64>,
+    ) -> Result<SolveRecord> {
+        self.inner.solve_again(system, rhs, pressure)
+    }
+
     fn describe(&self) -> String {
         self.inner.describe()
     }

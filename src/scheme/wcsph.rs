@@ -676,6 +676,7 @@ impl Pairs {
                 pair.push[k] = scheme.push[b];
                 pair.excess[k] = excess(scheme, a, b, &r_ab);
             }
+            #[allow(clippy::needless_range_loop, reason = "several arrays share the lane")]
             for k in 0..LANES {
                 let (approach, square) = (dot(&pair.v, &pair.r, k), dot(&pair.r, &pair.r, k));
                 let viscous = self.viscosity.of(approach, square, 0.5 * (density_a + pair.density[k]));
