@@ -85,6 +85,9 @@ impl<R: Read> Objects<R> {
         if rows != columns || start.last() != Some(&entries) {
             return Err(damaged("no square matrix"));
         }
+        if rows == 0 {
+            return Ok(Some(Rows::default()));
+        }
         let column = self.integers(entries)?;
         if column.iter().any(|k| !(0..columns).contains(k)) {
             return Err(damaged("a column outside the matrix"));
