@@ -189,6 +189,27 @@ fn a_resumed_run_with_bodies_is_the_uninterrupted_run() {
     resumed_is_uninterrupted("debris --spacing 0.02");
 }
 
+/// Still water around a free body of its own density: nothing moves.
+#[test]
+fn a_body_of_the_density_of_water_stays_where_it_is() {
+    let folder = folder();
+    let text = "name = \"bath\"\ndimension = 2\nspacing = 0.02\n[[fluid.block]]\nmin = [0, 0]\nmax = [0.8, 0.4]\n\
+                [tank]\nmin = [0, 0]\nmax = [0.8, 0.6]\nopen = [\"top\"]\n[[body]]\nname = \"b\"\nmin = [0.3, 0.1]\n\
+                max = [0.5, 0.3]\ndensity = 1000\nimmersed = true\nmotion = \"free\"\n[time]\nuntil = 0.3\n\
+                [output]\ngauges = 0\n";
+    fs::write(folder.path().join("bath.toml"), text).unwrap();
+    for coupling in ["strong", "explicit"] {
+        let sets = format!("--set scheme.coupling={coupling} --set body.locked=[\"rotation_z\"]");
+        done(&folder, &format!("bath.toml --threads 1 {sets} --out {coupling}"));
+        let weight = 9810.0 * 0.04;
+        for (name, expected) in [("b_x_n", 0.0), ("b_y_n", weight)] {
+            let found = mean_of_last_half(&folder.path().join(coupling).join("forces.csv"), name);
+            // The solver's residual is all that is left: measured 1e-6.
+            assert!((found - expected).abs() < 1e-4 * weight, "{coupling} {name}: {found}");
+        }
+    }
+}
+
 /// A cylinder let go under water: its first acceleration is that of its added mass.
 #[test]
 fn a_submerged_cylinder_starts_with_its_added_mass() {
