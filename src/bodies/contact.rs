@@ -87,6 +87,10 @@ impl<const D: usize> Bodies<D> {
         parameters.num_solver_iterations = SUBSTEPS;
         parameters.num_internal_pgs_iterations = SWEEPS;
         parameters.friction_model = FrictionModel::Coulomb;
+        // As stiff a substep as in rapier's own, which are of 1/240 s: at its fixed frequency short ones would be soft.
+        let stiffening = 1.0 / 240.0 / (dt / SUBSTEPS as f64);
+        parameters.contact_softness.natural_frequency *= stiffening;
+        parameters.static_contact_softness.natural_frequency *= stiffening;
         for (middle, half) in &self.surroundings.0 {
             let wall = ColliderBuilder::cuboid(half.x, half.y, half.z).translation(vector(middle));
             // The coefficient is the body's.
