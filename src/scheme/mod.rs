@@ -142,6 +142,8 @@ struct Afloat<const D: usize> {
     accelerations: Vec<Vector<D>>,
     /// Where bodies were when their surroundings were last looked at.
     surveyed: Vec<(Point, Matrix3)>,
+    /// Walls that were near them then.
+    near: Vec<bool>,
 }
 
 impl<const D: usize> Afloat<D> {
@@ -160,15 +162,29 @@ impl<const D: usize> Afloat<D> {
         if self.bodies.poses().eq(self.surveyed.iter().copied()) {
             return;
         }
+        // Walls that a body has left are measured once more; at first, and in a resumed run, all are.
+        self.near.resize(particles.walls().len(), true);
+        if self.surveyed.is_empty() {
+            self.near.fill(true);
+        }
         self.surveyed.clear();
         self.surveyed.extend(self.bodies.poses());
         let (reach, solids) = (params.support(), particles.solids());
-        let is_near = |a: usize| a < particles.walls().end && self.bodies.is_near(particles, a, reach);
-        let threshold = |a: usize| if is_near(a) { f64::NEG_INFINITY } else { f64::INFINITY };
+        let is_near = |a: usize| self.bodies.is_near(particles, a, reach);
+        let changed: Vec<bool> = self
+            .near
+            .iter_mut()
+            .enumerate()
+            .map(|(a, near)| std::mem::replace(near, is_near(a)) || *near)
+            .collect();
+        let threshold = |a: usize| match changed.get(a) {
+            Some(true) => f64::NEG_INFINITY,
+            _ => f64::INFINITY,
+        };
         let layout = Layout::without_ghosts(solids, solids);
         let (h, places) = (params.smoothing_length(), &particles.position[..solids]);
         self.solids.search(params.kernel, h, places, &layout, threshold);
-        walls.measure(&self.solids, lattice, params.volume(), is_near);
+        walls.measure(&self.solids, lattice, params.volume(), |a| changed[a]);
         self.bodies.find_open_faces(particles, &self.solids);
     }
 
