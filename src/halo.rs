@@ -181,16 +181,17 @@ impl<const D: usize> Halo<D> {
     /// Gives liquid to the ranks in whose slabs it is, after cutting new slabs if need be.
     fn hand_over(&mut self, particles: &mut Particles<D>) {
         let Some(peers) = &mut self.peers else { return };
+        let mut are_stale = self.solids_move;
         peers.age += 1;
         if peers.age > BALANCE_EVERY {
             peers.age = 0;
             let x = particles.position[particles.fluid()].iter().map(|r| r[0]);
             if peers.holds.is_empty() || Slabs::are_uneven(&self.ranks, x.len()) {
                 peers.slabs = Slabs::balanced(&self.ranks, x, 0.25 * self.reach);
-                peers.deal_solids(particles, &self.ranks, self.domain.as_ref(), self.reach);
+                are_stale = true;
             }
         }
-        if self.solids_move {
+        if are_stale {
             peers.deal_solids(particles, &self.ranks, self.domain.as_ref(), self.reach);
         }
         let owner = |r: &Vector<D>| peers.slabs.owner(r[0]);

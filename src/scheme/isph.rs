@@ -138,14 +138,10 @@ impl<const D: usize> Isph<D> {
         let lattice = params.lattice_sums();
         let volume = params.volume();
         let mut support = Support { neighbors: Neighbors::default(), active: vec![], volume };
-        let mut halo = Halo::new(params.periodic, params.support()).over(params.ranks, particles);
-        if params.bodies.can_move() {
-            halo.let_solids_move(particles, params.support());
-        }
         Self {
             walls: super::dummy_walls(&params, particles, &lattice, &mut support.neighbors),
             ranks: params.ranks,
-            halo,
+            halo: super::halo(&params, particles),
             lattice,
             solver,
             support,
@@ -304,13 +300,8 @@ impl<const D: usize> Isph<D> {
 
     /// Bodies at the drifted positions, and the accelerations that the pressure starts from.
     fn depart(&mut self, particles: &mut Particles<D>, dt: f64) {
-        let Self { afloat, walls, params, .. } = self;
-        if !afloat.bodies.is_empty() {
-            afloat.bodies.foresee(dt);
-            afloat.bodies.depart(dt, 0.5 * dt);
-            afloat.bodies.place(particles, false);
-            afloat.accelerate(params, particles, afloat.bodies.strong, walls);
-        }
+        let strong = self.afloat.bodies.strong;
+        self.afloat.depart(&self.params, particles, &mut self.walls, (dt, 0.5 * dt), strong);
     }
 
     /// Motion of bodies, and with strong coupling the pressure that goes with it, [`crate::bodies::coupling`].
@@ -371,14 +362,6 @@ impl<const D: usize> Isph<D> {
         Ok(record)
     }
 
-    /// Bodies where the step takes them.
-    fn arrive(&mut self, particles: &mut Particles<D>, dt: f64) {
-        if !self.afloat.bodies.is_empty() {
-            self.afloat.bodies.arrive(dt);
-            self.afloat.bodies.place(particles, true);
-        }
-    }
-
     fn collide(&mut self, particles: &mut Particles<D>) -> usize {
         match self.method.collisions {
             Some(collisions) => {
@@ -435,7 +418,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
             if solved.is_ok() {
                 report.clipped = self.take_pressure(particles);
                 self.correct(particles, dt);
-                self.arrive(particles, dt);
+                self.afloat.arrive(particles, dt);
                 report.collisions = self.collide(particles);
                 self.finish_positions(particles, dt);
             }

@@ -117,6 +117,15 @@ fn sort<const D: usize>(
     }
 }
 
+/// Ghosts and owners of `particles`, the whole scene.
+fn halo<const D: usize>(params: &Params<D>, particles: &Particles<D>) -> Halo<D> {
+    let mut halo = Halo::new(params.periodic, params.support()).over(params.ranks, particles);
+    if params.bodies.can_move() {
+        halo.let_solids_move(particles, params.support());
+    }
+    halo
+}
+
 /// The walls of `particles`, as dry as they are built. `neighbors` is a buffer.
 fn dummy_walls<const D: usize>(
     params: &Params<D>,
@@ -186,6 +195,32 @@ impl<const D: usize> Afloat<D> {
         self.solids.search(params.kernel, h, places, &layout, threshold);
         walls.measure(&self.solids, lattice, params.volume(), |a| changed[a]);
         self.bodies.find_open_faces(particles, &self.solids);
+    }
+
+    /// Bodies in the middle of a step of `dt` s and `ahead` s on from there, and the accelerations that dummies feel: the last
+    /// ones, or with `known` those that the pressure does not change.
+    fn depart(
+        &mut self,
+        params: &Params<D>,
+        particles: &mut Particles<D>,
+        walls: &mut DummyWalls<D>,
+        (dt, ahead): (f64, f64),
+        known: bool,
+    ) {
+        if !self.bodies.is_empty() {
+            self.bodies.foresee(dt);
+            self.bodies.depart(dt, ahead);
+            self.bodies.place(particles, false);
+            self.accelerate(params, particles, known, walls);
+        }
+    }
+
+    /// Bodies where a step of `dt` s takes them.
+    fn arrive(&mut self, particles: &mut Particles<D>, dt: f64) {
+        if !self.bodies.is_empty() {
+            self.bodies.arrive(dt);
+            self.bodies.place(particles, true);
+        }
     }
 
     /// Lets dummies feel the accelerations of bodies, or with `known` those that the pressure does not change.

@@ -216,14 +216,10 @@ impl<const D: usize> Wcsph<D> {
         let mut neighbors = Neighbors::default();
         let lattice = params.lattice_sums();
         let walls = super::dummy_walls(&params, particles, &lattice, &mut neighbors);
-        let mut halo = Halo::new(params.periodic, params.support()).over(params.ranks, particles);
-        if params.bodies.can_move() {
-            halo.let_solids_move(particles, params.support());
-        }
         Self {
             state_equation: Tait::new(params.density, method.sound_speed),
             ranks: params.ranks,
-            halo,
+            halo: super::halo(&params, particles),
             walls,
             neighbors,
             wet: vec![],
@@ -594,13 +590,7 @@ impl<const D: usize> Wcsph<D> {
 
     /// Bodies in the middle of the step; dummies feel their last accelerations.
     fn depart(&mut self, particles: &mut Particles<D>, dt: f64) {
-        let Self { afloat, walls, params, .. } = self;
-        if !afloat.bodies.is_empty() {
-            afloat.bodies.foresee(dt);
-            afloat.bodies.depart(dt, 0.0);
-            afloat.bodies.place(particles, false);
-            afloat.accelerate(params, particles, false, walls);
-        }
+        self.afloat.depart(&self.params, particles, &mut self.walls, (dt, 0.0), false);
     }
 
     /// The reaction to repulsive walls.
@@ -771,10 +761,7 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
             watch.time("shift", || self.shift(particles, dt));
         }
         drift(particles, 0.5 * dt);
-        if !self.afloat.bodies.is_empty() {
-            self.afloat.bodies.arrive(dt);
-            self.afloat.bodies.place(particles, true);
-        }
+        self.afloat.arrive(particles, dt);
         self.conclude(particles);
         self.stages = watch;
         self.steps += 1;
