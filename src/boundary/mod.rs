@@ -15,6 +15,7 @@
 //! Half and twice the threshold would wet the wall a whole row above, or leave the top row's neighbour dry.
 
 pub mod extrapolation;
+pub mod kinematic;
 pub mod repulsion;
 
 use crate::kernel::LatticeSums;
@@ -105,16 +106,19 @@ impl<const D: usize> DummyWalls<D> {
         active.resize(particles.len(), true);
     }
 
+    /// rho (g - a_wall), the gradient of the pressure at solid particle `w`, in Pa/m.
+    #[inline]
+    pub fn pressure_gradient(&self, w: usize) -> Vector<D> {
+        self.hydrostatic_gradient - self.inertial.get(w).copied().unwrap_or_else(Vector::zeros)
+    }
+
     /// Pressure of dummy `d` above that of its wall particle, Eq. (1), in Pa.
     #[inline]
     pub fn pressure_step(&self, particles: &Particles<D>, d: usize) -> f64 {
         let wall = particles.tie[d - particles.walls().len()] as usize;
         let step = particles.position[d] - particles.position[wall];
-        match self.inertial.is_empty() {
-            true => self.hydrostatic_gradient.dot(&step),
-            // That in the middle: exact where it is linear in space, as in a spinning body.
-            false => (self.hydrostatic_gradient - 0.5 * (self.inertial[d] + self.inertial[wall])).dot(&step),
-        }
+        // The mean is that in the middle: exact where it is linear in space, as in a spinning body.
+        (0.5 * (self.pressure_gradient(d) + self.pressure_gradient(wall))).dot(&step)
     }
 
     /// Extends the wall pressures to the dummies, Eq. (1).

@@ -20,7 +20,7 @@ use super::{
 };
 use crate::bodies::Bodies;
 use crate::bodies::coupling::Flow;
-use crate::boundary::DummyWalls;
+use crate::boundary::{DummyWalls, kinematic};
 use crate::case::LaplacianKind;
 use crate::halo::Halo;
 use crate::kernel::LatticeSums;
@@ -28,7 +28,7 @@ use crate::neighbors::{Layout, Neighbors};
 use crate::operators::{Moments, Surroundings};
 use crate::parallel::Ranks;
 use crate::particles::{Particles, ReorderScratch, Vector};
-use crate::ppe::matrix::{Assembler, Inputs};
+use crate::ppe::matrix::{Assembler, Inputs, Link};
 use crate::ppe::source::Source;
 use crate::ppe::{PressureSolve, SolveRecord};
 use crate::terms::collision::Collisions;
@@ -203,7 +203,7 @@ impl<const D: usize> Isph<D> {
 
     /// v* of liquid and walls, and the source of every pressure row.
     fn predict(&mut self, particles: &Particles<D>, dt: f64) {
-        let Params { gravity, kinematic_viscosity: nu, slip, .. } = self.params;
+        let Params { gravity, kinematic_viscosity: nu, slip, spacing, .. } = self.params;
         let (wanted, lattice) = (self.method.source, &self.lattice);
         let (moments, has_surface) = (&self.moments, self.has_surface);
         let surroundings = self.support.around(particles);
@@ -228,9 +228,9 @@ impl<const D: usize> Isph<D> {
         let (surface, crowding) = (&self.surface, &self.crowding);
         self.source.resize(owned, 0.0);
         self.source.par_iter_mut().enumerate().with_min_len(256).for_each(|(a, source)| {
-            // The Laplacian of the matrix makes tr M / D of a quadratic field: so must its right-hand side.
-            let share = moments[a].position_divergence() / D as f64;
-            let divergence = (1.0 - surface[a]) * share * surroundings.divergence(a, predicted, &moments[a]);
+            let divergence =
+                kinematic::divergence(&surroundings, particles, a, predicted, &moments[a], spacing);
+            let divergence = (1.0 - surface[a]) * divergence;
             let near_surface = surroundings.active(a).any(|(b, ..)| surface[b] > 0.5);
             *source = wanted.of(divergence, crowding[a] - 1.0, near_surface || surface[a] > 0.5, dt);
         });
@@ -321,11 +321,12 @@ impl<const D: usize> Isph<D> {
             answers.resize_with(unknowns.len(), Default::default);
             for (unknown, (rhs, answer)) in unknowns.into_iter().zip(answers.iter_mut()) {
                 let density = self.params.density;
-                let step = |d| match afloat.bodies.movable(d) == Some(unknown.0) {
-                    true => density * afloat.bodies.pressure_step(particles, unknown, d),
+                let bodies = &afloat.bodies;
+                let of = |link: &Link| match bodies.movable(link.solid as usize) == Some(unknown.0) {
+                    true => -density * bodies.mode_at(unknown, &link.at).dot(&link.moment),
                     false => 0.0,
                 };
-                assembler.right_hand_side(step, rhs);
+                assembler.right_hand_side(of, rhs);
                 answer.clear();
                 answer.resize(rhs.len(), 0.0);
                 if self.ranks.any(rhs.iter().any(|value| *value != 0.0)) {
