@@ -100,13 +100,15 @@ impl<const D: usize> Water<D> {
     /// (2 / rho) G of each row.
     fn surface_terms(&self, assembler: &Assembler) -> Vec<f64> {
         let of = |&a: &u32| {
-            let (moments, weight) = (&self.moments[a as usize], self.surface[a as usize]);
+            let is_wall = (a as usize) < self.particles.solids();
+            let (moments, weight) =
+                (&self.moments[a as usize], if is_wall { 0.0 } else { self.surface[a as usize] });
             2.0 / self.params.density * surface::diagonal(moments, weight, &self.lattice, self.params.spacing)
         };
         assembler.particle_of.iter().map(of).collect()
     }
 
-    /// Eq. (1) of `ppe::matrix`, transcribed: every pair is looked at, nothing but positions is taken over.
+    /// Eqs. (1) and (2) of `ppe::matrix`, transcribed: every pair is looked at, nothing but positions is taken over.
     fn naive(&self, assembler: &Assembler, laplacian: LaplacianKind) -> (DMatrix<f64>, DVector<f64>) {
         let Self { particles, active, params, .. } = self;
         let (rho, dx, r) = (params.density, params.spacing, &particles.position);
@@ -121,6 +123,16 @@ impl<const D: usize> Water<D> {
                 .filter(|&b| b != a && active[b] && (r[a] - r[b]).norm() < 2.0 * h)
                 .map(|b| (b, r[a] - r[b], volume * slope((r[a] - r[b]).norm())))
                 .collect();
+            rhs[row] -= self.source[a];
+            if a < particles.walls().end {
+                for (b, r_ab, vf) in pairs.into_iter().filter(|(b, ..)| *b >= particles.solids()) {
+                    let k = -2.0 / rho * vf;
+                    matrix[(row, row)] += k;
+                    matrix[(row, assembler.row_of[b] as usize)] -= k;
+                    rhs[row] += k * rho * params.gravity.dot(&r_ab);
+                }
+                continue;
+            }
             let defect: Vector<D> = pairs.iter().map(|(_, r, vf)| *vf * r).sum();
             let moments = Moments {
                 defect,
@@ -153,7 +165,6 @@ impl<const D: usize> Water<D> {
                 rhs[row] += (k - c) * step;
             }
             matrix[(row, row)] += 2.0 / rho * surface::diagonal(&moments, s, &self.lattice, dx);
-            rhs[row] -= self.source[a];
         }
         (matrix, rhs)
     }
@@ -240,6 +251,11 @@ fn sparse_matrix<const D: usize>() {
     assert!(asymmetry <= 1e-14 * matrix.amax(), "asymmetry {asymmetry:e}");
     for (k, anchor) in water.surface_terms(&assembler).into_iter().enumerate() {
         let sum: f64 = sparse.row(k).map(|(_, v)| v).sum();
+        if sparse.row(k).count() == 1 {
+            let corner = assembler.particle_of[k] as usize;
+            assert!(corner < water.particles.walls().end, "only walls in corners stand alone");
+            continue;
+        }
         // A row sum cancels its diagonal.
         assert!((sum - anchor).abs() <= 1e-12 * sparse.get(k, k), "row {k}: {sum:e}, {anchor:e}");
     }

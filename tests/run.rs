@@ -166,7 +166,7 @@ fn a_body_of_the_density_of_water_stays_where_it_is() {
     }
 }
 
-/// A cylinder of next to no mass let go under water shows its added mass, the more of it the finer the lattice.
+/// A cylinder of next to no mass let go under water shows its added mass, the more accurately the finer the lattice.
 #[test]
 fn a_submerged_cylinder_starts_with_its_added_mass() {
     let folder = folder();
@@ -182,9 +182,9 @@ fn a_submerged_cylinder_starts_with_its_added_mass() {
         // In the middle of a vessel that reaches about six radii: C = 1.05.
         1.05 - (9.81 * 0.999 / found - 0.001)
     };
-    // Of first order in the spacing: measured 0.50 and 0.33 at 8 and 16 spacings a radius.
+    // Of first order in the spacing: measured 0.11 and 0.06 at 8 and 16 spacings a radius.
     let [coarse, fine] = [missing(0.01), missing(0.005)];
-    assert!(0.0 < fine && fine < 0.7 * coarse, "{coarse}, {fine}");
+    assert!(0.0 < fine && fine < 0.6 * coarse && coarse < 0.15, "{coarse}, {fine}");
 }
 
 /// The paper's Eq. (5) from what is logged of a sliding box, and the regimes of friction.

@@ -108,3 +108,80 @@ fn at_wall<const D: usize>(
     }
     trace / D as f64 * slope.zip_map(&moment, |slope, moment| slope / moment.max(LEAST_MOMENT)).sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernel::KernelKind;
+    use crate::neighbors::{Layout, Neighbors};
+
+    /// Liquid over a floor, both jittered lattices of spacing 1 with the face at y = 0; the velocity v of the liquid is linear in space.
+    fn divergences(v: impl Fn(&Vector<2>) -> Vector<2>, wall: Vector<2>) -> Vec<(usize, f64, f64)> {
+        let floor: Vec<_> = (0..12).map(|i| Vector::<2>::new(f64::from(i), -0.5)).collect();
+        let below = (0..36).map(|k| Vector::<2>::new(f64::from(k % 12), -1.5 - f64::from(k / 12)));
+        let solid: Vec<_> = floor.iter().copied().chain(below).collect();
+        let depth = solid.iter().map(|r| -r.y).collect();
+        let normal = vec![Vector::<2>::new(0.0, 1.0); solid.len()];
+        let mut particles = Particles::from_solid(solid, normal, depth, (0..36).map(|k| k % 12).collect());
+        let mut seed = 1_u32;
+        let mut noise = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            0.2 * (f64::from(seed >> 8) / f64::from(1 << 24) - 0.5)
+        };
+        for k in 0..72 {
+            let r = Vector::<2>::new(f64::from(k % 12) + noise(), 0.5 + f64::from(k / 12) + noise());
+            particles.push_fluid(r, v(&r));
+        }
+        particles.velocity[..48].fill(wall);
+        let mut neighbors = Neighbors::default();
+        neighbors.search(KernelKind::WendlandC2, 1.2, &particles.position, &Layout::of(&particles), |_| {
+            f64::NEG_INFINITY
+        });
+        let active = vec![true; particles.len()];
+        let surroundings = Surroundings {
+            position: &particles.position,
+            neighbors: &neighbors,
+            active: &active,
+            volume: 1.0,
+        };
+        let inside = |a: &usize| {
+            let r = particles.position[*a];
+            r.x > 3.5 && r.x < 7.5 && r.y < 2.0 && (r.y > 0.0 || *a < 12)
+        };
+        (0..particles.len())
+            .filter(inside)
+            .map(|a| {
+                let moments = surroundings.moments(a);
+                let found = divergence(&surroundings, &particles, a, &particles.velocity, &moments, 1.0);
+                (a, found, surroundings.divergence(a, &particles.velocity, &moments))
+            })
+            .collect()
+    }
+
+    #[test]
+    fn liquid_that_obeys_the_wall_is_measured_exactly() {
+        // Stretching along a floor that rises at 0.3.
+        let rows = divergences(|r| Vector::<2>::new(2.0 * r.x, 0.3 - 2.0 * r.y), Vector::<2>::new(0.0, 0.3));
+        assert!(rows.iter().any(|(a, ..)| *a < 12) && rows.iter().any(|(a, ..)| *a >= 48));
+        for (a, found, _) in rows {
+            assert!(found.abs() < 1e-12, "{a}: {found}");
+        }
+    }
+
+    #[test]
+    fn liquid_slides_along_a_wall_unnoticed() {
+        let rows = divergences(|_| Vector::<2>::new(50.0, 0.0), Vector::zeros());
+        for (a, found, _) in &rows {
+            assert!(found.abs() < 1e-10, "{a}: {found}");
+        }
+        // At its word the wall would speak of a divergence.
+        assert!(rows.iter().any(|(.., plain)| plain.abs() > 0.1));
+    }
+
+    #[test]
+    fn liquid_that_meets_a_wall_is_compressed() {
+        for (a, found, _) in divergences(|_| Vector::<2>::new(0.0, -1.0), Vector::zeros()) {
+            assert!(found < -0.05, "{a}: {found}");
+        }
+    }
+}

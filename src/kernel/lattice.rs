@@ -21,6 +21,8 @@ pub struct LatticeSums {
     pub laplacian: f64,
     /// Share of sum -V F r^2 that comes from neighbours nearer than the radius of the sparse preconditioner.
     pub near_share: f64,
+    /// |sum V grad W| of a particle in the top row under a flat surface, in 1/m.
+    pub surface_defect: f64,
 }
 
 impl LatticeSums {
@@ -42,6 +44,7 @@ impl LatticeSums {
             missing_distance: 0.0,
             laplacian: 0.0,
             near_share: 0.0,
+            surface_defect: 0.0,
         };
         let (mut cut_off, mut second_moment) = (0.0, 0.0);
         for n in 0..side.pow(D as u32) {
@@ -63,6 +66,7 @@ impl LatticeSums {
                 sums.missing_distance += stiffness * offset[0];
             }
         }
+        sums.surface_defect = spacing * sums.missing_distance;
         sums.missing_distance /= cut_off;
         sums.near_share /= second_moment;
         sums.laplacian = second_moment / D as f64;

@@ -278,7 +278,7 @@ impl Block {
         self.links.clear();
     }
 
-    /// Eq. (2). All its links go to the sparse matrix too: in the corner of a tank the nearest liquid may lie further than [`NEAR`].
+    /// Eq. (2). In the sparse matrix a wall without near liquid, as in the corner of a tank, stands alone.
     fn assemble_wall_row<const D: usize>(
         &mut self,
         inputs: &Inputs<'_, D>,
@@ -287,16 +287,13 @@ impl Block {
         needs: Needs,
     ) {
         let particles = inputs.particles;
-        let gradient = inputs.walls.pressure_gradient(w);
-        let (mut diagonal, mut moment) = (0.0, Vector::zeros());
-        let rows = [
-            (true, &mut self.full),
-            (needs.symmetric || needs.uncorrected, &mut self.plain),
-            (needs.sparse, &mut self.sparse),
-        ];
-        let mut wanted: Vec<&mut Partial> =
-            rows.into_iter().filter_map(|(wants, rows)| wants.then_some(rows)).collect();
-        wanted.iter_mut().for_each(|rows| rows.begin());
+        let near = (NEAR * inputs.spacing).powi(2);
+        let near_scale = 1.0 / inputs.lattice.near_share;
+        let wants_plain = needs.symmetric || needs.uncorrected;
+        let (mut diagonal, mut near_diagonal, mut moment) = (0.0, 0.0, Vector::zeros());
+        self.full.begin();
+        self.plain.begin();
+        self.sparse.begin();
         for (f, r_wf, vf) in inputs.surroundings.active(w) {
             let f = particles.original(f);
             if f < particles.solids() {
@@ -305,17 +302,31 @@ impl Block {
             let coefficient = -2.0 / inputs.density * vf;
             diagonal += coefficient;
             moment += coefficient * r_wf;
-            wanted.iter_mut().for_each(|rows| rows.push(column_of[f], -coefficient));
+            self.full.push(column_of[f], -coefficient);
+            if wants_plain {
+                self.plain.push(column_of[f], -coefficient);
+            }
+            if needs.sparse && r_wf.norm_squared() < near {
+                near_diagonal += near_scale * coefficient;
+                self.sparse.push(column_of[f], -near_scale * coefficient);
+            }
         }
-        for rows in wanted {
-            rows.push(column_of[w], diagonal);
-            rows.end();
+        let own = column_of[w];
+        self.full.push(own, diagonal);
+        self.full.end();
+        if wants_plain {
+            self.plain.push(own, diagonal);
+            self.plain.end();
+        }
+        if needs.sparse {
+            self.sparse.push(own, if near_diagonal > 0.0 { near_diagonal } else { diagonal });
+            self.sparse.end();
         }
         if inputs.moves(w) {
             let at = point(&particles.position[w]);
             self.links.push(Link { row: self.rhs.len() as u32, solid: w as u32, at, moment: point(&moment) });
         }
-        let rhs = gradient.dot(&moment) - inputs.source[w];
+        let rhs = inputs.walls.pressure_gradient(w).dot(&moment) - inputs.source[w];
         self.rhs.push(rhs);
         if needs.uncorrected {
             self.plain_rhs.push(rhs);

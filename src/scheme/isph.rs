@@ -276,14 +276,15 @@ impl<const D: usize> Isph<D> {
         let factor = dt / self.params.density;
         let surroundings = self.support.around(particles);
         let (moments, predicted, pressure) = (&self.moments, &self.predicted, &particles.pressure);
-        let (surface, spacing) = (&self.surface, self.params.spacing);
+        let (surface, lattice, spacing) = (&self.surface, &self.lattice, self.params.spacing);
         self.change.resize(particles.owned() - first, (Vector::zeros(), Vector::zeros()));
         self.change.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, (change, new))| {
             let a = first + k;
             let gradient = match moments[a].correction() {
                 Some(b) => {
                     let inner = b * surroundings.difference_gradient(a, pressure);
-                    surface::gradient(inner, &moments[a], surface[a], pressure[a], spacing)
+                    let thickness = surface::thickness(&moments[a], lattice, spacing);
+                    surface::gradient(inner, &moments[a], surface[a], pressure[a], thickness)
                 }
                 None => surroundings.symmetric_gradient(a, pressure),
             };
