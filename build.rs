@@ -104,7 +104,7 @@ mod petsc {
             return Err(format!("PETSC_DIR: {} is a PETSc with complex scalars", build.display()));
         }
         let lib = build.join("lib");
-        let names = ["petsc", "petsc_real"];
+        let names = ["petsc", "petsc_real", "petsc64_real"];
         let suffixes = ["so", "dylib", "a"];
         let name = names
             .iter()

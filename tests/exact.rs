@@ -4,15 +4,13 @@
 use std::fs;
 use std::path::Path;
 
-mod common;
-
 use serde_json::Value;
 use tempfile::TempDir;
 
 /// Runs a case to its end in a folder of its own.
 fn run(line: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    common::done(&folder, &format!("{line} --out out"));
+    crate::common::done(&folder, &format!("{line} --out out"));
     folder
 }
 
@@ -64,8 +62,8 @@ fn a_stretching_drop_keeps_its_axes_pressure_and_momentum() {
 #[test]
 fn a_standing_wave_keeps_its_period_and_damping() {
     let found = summary(&run("standing_wave --spacing 0.05 --until 3.5"));
-    // At 20 spacings of depth the numerical damping adds three quarters to the physical one; at the case's 50 little.
-    assert!(error(&found, "period") < 0.03 && error(&found, "damping") < 0.9, "{found}");
+    // Measured 1.6 % and 17 % at 20 spacings of depth, over all five periods.
+    assert!(error(&found, "period") < 0.025 && error(&found, "damping") < 0.3, "{found}");
     assert_eq!((found["clipped_pressures"].as_u64(), found["collisions"].as_u64()), (Some(0), Some(0)));
 }
 

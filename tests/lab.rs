@@ -4,9 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-mod common;
-
-use common::{done, refused, run, stderr};
+use crate::common::{done, refused, run, stderr};
 use serde_json::Value;
 
 /// Systems of 200 particles.
@@ -105,7 +103,7 @@ fn sets_that_diverge_break_or_are_misspelt_are_rows_with_their_causes() {
     // The run is there already; what is typed after the case is one more set, and --try takes another.
     let summary = folder.path().join("out/run/summary.json");
     let before = fs::metadata(&summary).unwrap().modified().unwrap();
-    let output = common::command(&folder, SMALL)
+    let output = crate::common::command(&folder, SMALL)
         .args(["--try", "-ksp_type cg -pc_type icc", "-ksp_type", "cgs"])
         .output();
     let output = output.unwrap();

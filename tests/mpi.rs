@@ -1,12 +1,11 @@
 //! The same physics on any number of ranks: the program on its own under mpiexec.
 #![cfg(feature = "mpi")]
 
+use crate::common;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::Output;
-
-mod common;
 
 use sphpetsc::output::checkpoint::{self, Reader};
 use tempfile::TempDir;

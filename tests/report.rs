@@ -4,9 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-mod common;
-
-use common::{done, is_installed, run, stderr, stdout};
+use crate::common::{done, is_installed, run, stderr, stdout};
 use serde_json::Value;
 use tempfile::TempDir;
 

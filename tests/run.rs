@@ -8,9 +8,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-mod common;
-
-use common::{command, done, refused, run, sentence};
+use crate::common::{command, done, refused, run, sentence};
 use serde_json::Value;
 use sphpetsc::output::checkpoint::{self, Reader};
 use tempfile::TempDir;

@@ -1,9 +1,7 @@
 //! Studies from outside: many runs, each on its own, none done twice.
 
+use crate::common::{run, stderr};
 use std::fs;
-mod common;
-
-use common::{run, stderr};
 
 #[test]
 fn wrong_studies_are_refused_in_one_sentence() {
@@ -47,8 +45,8 @@ mod runs {
     use serde_json::Value;
     use sphpetsc::output::checkpoint;
 
-    use super::common::{command, done, stdout};
     use super::*;
+    use crate::common::{command, done, stdout};
     use tempfile::TempDir;
 
     /// Runs of 50 and 200 particles.

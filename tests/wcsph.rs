@@ -1,7 +1,6 @@
 //! Weakly compressible SPH: still water, conservation, walls, and the command line around it.
 
-use std::process::{Command, Output};
-
+use crate::common::run;
 use sphpetsc::case::build::{self, Scene};
 use sphpetsc::case::{CaseFile, read};
 use sphpetsc::particles::Vector;
@@ -181,18 +180,13 @@ fn each_piece_of_liquid_starts_under_its_own_top() {
     }
 }
 
-fn program(folder: &tempfile::TempDir, line: &str) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sphpetsc"));
-    command.current_dir(folder).args(line.split_whitespace()).output().unwrap()
-}
-
 #[test]
 fn runs_resume_bit_for_bit_and_report_their_sound() {
     let folder = tempfile::tempdir().unwrap();
     for scheme in SCHEMES {
         let line = format!("dam_break_2d --spacing 0.02 --scheme {scheme} --set output.samples=0.01");
         let done = |rest: &str| {
-            let output = program(&folder, &format!("{line} {rest}"));
+            let output = run(&folder, &format!("{line} {rest}"));
             assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
             String::from_utf8_lossy(&output.stdout).into_owned()
         };
@@ -215,7 +209,7 @@ fn what_needs_a_pressure_system_is_refused() {
     };
     for option in options {
         for task in ["", "check "] {
-            let output = program(&folder, &format!("{task}dam_break_2d --scheme wcsph {option}"));
+            let output = run(&folder, &format!("{task}dam_break_2d --scheme wcsph {option}"));
             let text = String::from_utf8_lossy(&output.stderr).into_owned();
             assert_eq!(output.status.code(), Some(2), "{text}");
             assert!(text.contains(wanted) && text.lines().count() == 1, "{text}");
@@ -236,7 +230,7 @@ fn a_speed_of_sound_that_follows_from_nothing_is_asked_for() {
 /// Largest errors of a case with an exact solution, by name.
 fn exact_errors(line: &str) -> impl Fn(&str) -> f64 {
     let folder = tempfile::tempdir().unwrap();
-    let output = program(&folder, &format!("{line} --scheme wcsph --out out"));
+    let output = run(&folder, &format!("{line} --scheme wcsph --out out"));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = std::fs::read_to_string(folder.path().join("out/summary.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&text).unwrap();

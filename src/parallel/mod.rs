@@ -183,7 +183,7 @@ macro_rules! packed_numbers {
         }
     )*};
 }
-packed_numbers!(f64, i32, u32, u64);
+packed_numbers!(f64, i32, i64, u32, u64);
 
 impl Packed for bool {
     const WIDTH: usize = 1;

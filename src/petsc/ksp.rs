@@ -4,10 +4,10 @@ use std::ptr;
 use std::rc::Rc;
 
 use super::error::{c_string, check, text};
-use super::ffi;
 use super::mat::{Matrix, stored};
 use super::session::Session;
 use super::vec::Vector;
+use super::{Index, ffi};
 use crate::Result;
 
 /// When a solve stops.
@@ -79,7 +79,7 @@ impl Ksp {
 
     /// Sets when to stop.
     pub fn set_tolerances(&mut self, t: Tolerances) -> Result<()> {
-        let iterations = t.iterations.min(i32::MAX as usize) as ffi::PetscInt;
+        let iterations = t.iterations.min(Index::MAX as usize) as ffi::PetscInt;
         // SAFETY: `raw` is a live solver.
         check(unsafe { ffi::KSPSetTolerances(self.raw, t.relative, t.absolute, t.divergence, iterations) })
     }

@@ -6,9 +6,9 @@ use std::ptr;
 use std::rc::Rc;
 
 use super::error::check;
-use super::ffi;
 use super::session::Session;
 use super::vec::Vector;
+use super::{Index, ffi};
 use crate::{Error, Result};
 
 /// A square sparse matrix; each rank owns consecutive rows.
@@ -24,7 +24,12 @@ impl Matrix {
     ///
     /// # Errors
     /// [`Error::Run`] when the three lists do not describe rows of a square matrix.
-    pub fn from_rows(session: &Rc<Session>, start: &[i32], column: &[i32], value: &[f64]) -> Result<Self> {
+    pub fn from_rows(
+        session: &Rc<Session>,
+        start: &[Index],
+        column: &[Index],
+        value: &[f64],
+    ) -> Result<Self> {
         let (mut local, mut global) = (start.len().saturating_sub(1) as ffi::PetscInt, ffi::PETSC_DECIDE);
         // SAFETY: both numbers outlive the call; it only adds up `local` over the ranks.
         check(unsafe { ffi::PetscSplitOwnership(session.comm(), &raw mut local, &raw mut global) })?;
@@ -153,12 +158,12 @@ impl Drop for Matrix {
 
 /// Rows cut into the columns of this rank, numbered from its first one, and those of others: starts, columns, values.
 struct Split {
-    own: (Vec<i32>, Vec<i32>, Vec<f64>),
-    others: (Vec<i32>, Vec<i32>, Vec<f64>),
+    own: (Vec<Index>, Vec<Index>, Vec<f64>),
+    others: (Vec<Index>, Vec<Index>, Vec<f64>),
 }
 
 impl Split {
-    fn new(mine: Range<i32>, start: &[i32], column: &[i32], value: &[f64]) -> Self {
+    fn new(mine: Range<Index>, start: &[Index], column: &[Index], value: &[f64]) -> Self {
         let room = column.len();
         let mut own = (vec![0], Vec::with_capacity(room), Vec::with_capacity(room));
         let mut others = (vec![0], vec![], vec![]);
@@ -169,8 +174,8 @@ impl Split {
                 half.1.push(c);
                 half.2.push(v);
             }
-            own.0.push(own.1.len() as i32);
-            others.0.push(others.1.len() as i32);
+            own.0.push(own.1.len() as Index);
+            others.0.push(others.1.len() as Index);
         }
         Self { own, others }
     }
@@ -191,8 +196,8 @@ pub(super) unsafe fn stored(matrix: ffi::Mat) -> Result<f64> {
 }
 
 /// Everything PETSc would trust blindly.
-fn check_rows(start: &[i32], column: &[i32], value: &[f64], global: i32) -> Result<()> {
-    let entries = i32::try_from(column.len()).unwrap_or(-1);
+fn check_rows(start: &[Index], column: &[Index], value: &[f64], global: Index) -> Result<()> {
+    let entries = Index::try_from(column.len()).unwrap_or(-1);
     let sound = start.first() == Some(&0)
         && start.last() == Some(&entries)
         && start.is_sorted()

@@ -27,8 +27,11 @@ pub use options::{Options, captured, nearest};
 pub use session::{Session, stage};
 pub use vec::{BinaryFile, Vector};
 
-// `Rows` of the crate are i32 and f64; PETSc takes them as they are.
+/// Number of a row or a column, as wide as this PETSc was built with.
+pub type Index = ffi::PetscInt;
+
+// `Rows` of the crate are made of `Index` and f64; PETSc takes them as they are.
 const _: () = assert!(
-    size_of::<ffi::PetscInt>() == size_of::<i32>() && size_of::<ffi::PetscScalar>() == size_of::<f64>(),
-    "this PETSc was built with 64-bit indices or another scalar; use one with 32-bit indices and real double scalars"
+    size_of::<ffi::PetscScalar>() == size_of::<f64>(),
+    "this PETSc was built with another scalar; use one with real double scalars"
 );

@@ -14,8 +14,8 @@ use mpi::raw::AsRaw;
 use mpi::topology::{Communicator, SimpleCommunicator};
 
 use super::error::{c_string, check, install_handler};
-use super::ffi;
 use super::options::Options;
+use super::{Index, ffi};
 use crate::{Error, Result};
 
 /// MPI and PETSc at work. Handles hold an `Rc` of it, so it ends after the last of them.
@@ -96,7 +96,7 @@ impl Session {
     }
 
     /// The sum of `local` over the ranks before this one.
-    pub(super) fn before(&self, local: i32) -> i32 {
+    pub(super) fn before(&self, local: Index) -> Index {
         let mut upto = 0;
         self.world.scan_into(&local, &mut upto, SystemOperation::sum());
         upto - local

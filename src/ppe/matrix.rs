@@ -27,7 +27,7 @@
 //! definite wherever a surface is near. The *sparse* matrix is that graph cut at 1.6 dx, its weights scaled up by
 //! the share of sum K r^2 that the cut removed on a lattice, so that both give the same energy to smooth fields.
 
-use super::{Needs, PressureSystem, Rows};
+use super::{Index, Needs, PressureSystem, Rows};
 use crate::bodies::Bodies;
 use crate::boundary::DummyWalls;
 use crate::case::LaplacianKind;
@@ -91,7 +91,7 @@ pub struct Assembler {
     /// Particle of each local row.
     pub particle_of: Vec<u32>,
     /// Global row of each particle, those of other ranks included, or -1.
-    column_of: Vec<i32>,
+    column_of: Vec<Index>,
     /// How rows hang on the motion of bodies.
     links: Vec<Link>,
     blocks: Vec<Block>,
@@ -123,8 +123,8 @@ pub struct Link {
 
 #[derive(Debug, Clone, Default)]
 struct Partial {
-    count: Vec<i32>,
-    entries: Vec<(i32, f64)>,
+    count: Vec<Index>,
+    entries: Vec<(Index, f64)>,
     open: usize,
 }
 
@@ -139,12 +139,12 @@ impl Partial {
         self.open = self.entries.len();
     }
 
-    fn push(&mut self, column: i32, value: f64) {
+    fn push(&mut self, column: Index, value: f64) {
         self.entries.push((column, value));
     }
 
     /// Adds to an entry that the row may already hold: only wall columns, which dummies share.
-    fn add(&mut self, column: i32, value: f64) {
+    fn add(&mut self, column: Index, value: f64) {
         match self.entries[self.open..].iter_mut().find(|(c, _)| *c == column) {
             Some((_, v)) => *v += value,
             None => self.entries.push((column, value)),
@@ -153,7 +153,7 @@ impl Partial {
 
     fn end(&mut self) {
         self.entries[self.open..].sort_unstable_by_key(|(c, _)| *c);
-        self.count.push((self.entries.len() - self.open) as i32);
+        self.count.push((self.entries.len() - self.open) as Index);
     }
 }
 
@@ -215,7 +215,7 @@ impl Assembler {
         }
         let first = halo.ranks().first_row(self.particle_of.len());
         self.system.first_row = first;
-        let column = |&row: &u32| if row == NO_ROW { -1 } else { first as i32 + row as i32 };
+        let column = |&row: &u32| if row == NO_ROW { -1 } else { first as Index + row as Index };
         self.column_of.clear();
         self.column_of.extend(self.row_of.iter().map(column));
         halo.refresh(particles.originals(), &mut self.column_of);
@@ -235,7 +235,7 @@ impl Assembler {
         if ranks.are_several() {
             groups.pass_on(&mut marks, system, column_of, particle_of, particles, halo);
         }
-        let mut members: BTreeMap<i32, Vec<u32>> = BTreeMap::new();
+        let mut members: BTreeMap<Index, Vec<u32>> = BTreeMap::new();
         for k in 0..particle_of.len() as u32 {
             let mark = marks[groups.root(k) as usize];
             if mark >= 0 {
@@ -243,9 +243,9 @@ impl Assembler {
             }
         }
         // All ranks list all groups, also those without a member here.
-        let names: Vec<f64> = members.keys().map(|&mark| f64::from(mark)).collect();
+        let names: Vec<f64> = members.keys().map(|&mark| mark as f64).collect();
         for name in ranks.all(&names).concat() {
-            members.entry(name as i32).or_default();
+            members.entry(name as Index).or_default();
         }
         system.floating = members.into_values().collect();
     }
@@ -282,7 +282,7 @@ impl Block {
     fn assemble_wall_row<const D: usize>(
         &mut self,
         inputs: &Inputs<'_, D>,
-        column_of: &[i32],
+        column_of: &[Index],
         w: usize,
         needs: Needs,
     ) {
@@ -337,7 +337,7 @@ impl Block {
     fn assemble_row<const D: usize>(
         &mut self,
         inputs: &Inputs<'_, D>,
-        column_of: &[i32],
+        column_of: &[Index],
         a: usize,
         needs: Needs,
     ) {
@@ -433,8 +433,8 @@ fn join(rows: &mut Rows, blocks: &[Block], part: impl Fn(&Block) -> &Partial + C
 fn copy(
     blocks: &[Block],
     part: impl Fn(&Block) -> &Partial + Copy + Sync,
-    first: i32,
-    (ends, column, value): (&mut [i32], &mut [i32], &mut [f64]),
+    first: Index,
+    (ends, column, value): (&mut [Index], &mut [Index], &mut [f64]),
 ) {
     let (left, right) = blocks.split_at(blocks.len() / 2);
     if !left.is_empty() {
@@ -445,7 +445,7 @@ fn copy(
         let (left_value, value) = value.split_at_mut(entries);
         rayon::join(
             || copy(left, part, first, (left_ends, left_column, left_value)),
-            || copy(right, part, first + entries as i32, (ends, column, value)),
+            || copy(right, part, first + entries as Index, (ends, column, value)),
         );
     } else if let [block] = right {
         let Partial { count, entries, .. } = part(block);
@@ -487,8 +487,8 @@ fn transposed(rows: &Rows, first: usize, ranks: &Ranks) -> Rows {
         .map(|entry| (entry[0] as usize - first, entry[1] as usize, entry[2]))
         .collect();
     entries.sort_unstable_by_key(|&(row, column, _)| (row, column));
-    let start = (0..=rows.len()).map(|k| entries.partition_point(|(row, ..)| *row < k) as i32).collect();
-    let column = entries.iter().map(|(_, column, _)| *column as i32).collect();
+    let start = (0..=rows.len()).map(|k| entries.partition_point(|(row, ..)| *row < k) as Index).collect();
+    let column = entries.iter().map(|(_, column, _)| *column as Index).collect();
     Rows { start, column, value: entries.iter().map(|(.., value)| *value).collect() }
 }
 
@@ -513,11 +513,11 @@ pub(crate) fn symmetric_mean(plain: &Rows, first: usize, ranks: &Ranks) -> Rows 
             } else {
                 diagonal -= value;
             }
-            mean.column.push(column as i32);
+            mean.column.push(column as Index);
             mean.value.push(value);
         }
         mean.value[at] = diagonal;
-        mean.start.push(mean.column.len() as i32);
+        mean.start.push(mean.column.len() as Index);
     }
     mean
 }
@@ -542,7 +542,7 @@ impl Groups {
     fn unite(&mut self, rows: &Rows, first: usize) {
         self.parent.clear();
         self.parent.extend(0..rows.len() as u32);
-        let local = |column: i32| (column as usize).wrapping_sub(first);
+        let local = |column: Index| (column as usize).wrapping_sub(first);
         for k in 0..rows.len() {
             // Columns ascend, and links are mutual: those before the diagonal tell all.
             let columns = &rows.column[rows.start[k] as usize..rows.start[k + 1] as usize];
@@ -561,15 +561,15 @@ impl Groups {
     /// Passes the marks of groups on between ranks until the smallest has reached every member.
     fn pass_on<const D: usize>(
         &mut self,
-        marks: &mut [i32],
+        marks: &mut [Index],
         system: &PressureSystem,
-        column_of: &[i32],
+        column_of: &[Index],
         particle_of: &[u32],
         particles: &Particles<D>,
         halo: &Halo<D>,
     ) {
         let (ranks, first) = (halo.ranks(), system.first_row);
-        let foreign: HashMap<i32, usize> = (0..particles.len())
+        let foreign: HashMap<Index, usize> = (0..particles.len())
             .filter(|&a| column_of[a] >= 0 && (particles.is_foreign(a) || !halo.holds(a)))
             .map(|a| (column_of[a], a))
             .collect();
@@ -577,9 +577,9 @@ impl Groups {
         let links: Vec<(usize, usize)> = (0..particle_of.len())
             .flat_map(|k| system.full.row(k).map(move |(column, _)| (k, column)))
             .filter(|(_, column)| !own.contains(column))
-            .filter_map(|(k, column)| Some((k, *foreign.get(&(column as i32))?)))
+            .filter_map(|(k, column)| Some((k, *foreign.get(&(column as Index))?)))
             .collect();
-        let mut mark_of = vec![i32::MAX; particles.len()];
+        let mut mark_of = vec![Index::MAX; particles.len()];
         let mut changed = true;
         while ranks.any(changed) {
             for (k, &a) in particle_of.iter().enumerate() {
@@ -596,9 +596,9 @@ impl Groups {
     }
 
     /// For the root of each group its global row, or -1 if a member is anchored.
-    fn marks(&mut self, first: usize, is_anchored: impl Fn(usize) -> bool) -> Vec<i32> {
+    fn marks(&mut self, first: usize, is_anchored: impl Fn(usize) -> bool) -> Vec<Index> {
         let count = self.parent.len();
-        let mut marks: Vec<i32> = (first as i32..).take(count).collect();
+        let mut marks: Vec<Index> = (first as Index..).take(count).collect();
         for k in (0..count).filter(|&k| is_anchored(k)) {
             marks[self.root(k as u32) as usize] = -1;
         }

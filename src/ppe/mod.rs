@@ -14,13 +14,20 @@ pub mod source;
 use crate::Result;
 use std::path::{Path, PathBuf};
 
+/// Number of a row or a column: PETSc's own integer, of 64 bits where PETSc was built so.
+#[cfg(feature = "petsc")]
+pub type Index = crate::petsc::Index;
+/// Number of a row or a column.
+#[cfg(not(feature = "petsc"))]
+pub type Index = i32;
+
 /// A sparse matrix of one rank: its rows, with global column numbers (CSR).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Rows {
     /// Start of each row in `column` and `value`; length rows + 1.
-    pub start: Vec<i32>,
+    pub start: Vec<Index>,
     /// Global column numbers, ascending within a row.
-    pub column: Vec<i32>,
+    pub column: Vec<Index>,
     /// Matrix entries, SI units.
     pub value: Vec<f64>,
 }
@@ -148,7 +155,7 @@ impl Rows {
     /// Transpose of a square matrix of one rank; its rows come out sorted by column.
     pub fn transpose(&self) -> Self {
         let n = self.len();
-        let mut start = vec![0_i32; n + 1];
+        let mut start: Vec<Index> = vec![0; n + 1];
         for &c in &self.column {
             start[c as usize + 1] += 1;
         }
@@ -161,7 +168,7 @@ impl Rows {
         for k in 0..n {
             for (c, v) in self.row(k) {
                 let at = next[c] as usize;
-                (column[at], value[at]) = (k as i32, v);
+                (column[at], value[at]) = (k as Index, v);
                 next[c] += 1;
             }
         }

@@ -6,18 +6,19 @@
 //!    last, 8. for each row the number of its set of unknowns without a surface, from 1, or 0.
 //!
 //! The format (PETSc manual, "Viewers"): big-endian; a matrix is its class number, rows, columns, entries, the
-//! length of each row, columns, values; a vector its class number, length, values. It needs no PETSc to be read.
+//! length of each row, columns, values; a vector its class number, length, values. Integers are as wide as PETSc's own. It
+//! needs no PETSc to be read.
 
 use std::io::{self, BufReader, Read};
 use std::path::Path;
 
-use super::{PressureSystem, Rows};
+use super::{Index, PressureSystem, Rows};
 use crate::{Error, Result};
 
 /// PETSc's class number of matrices in files.
-const MATRIX: i32 = 1_211_216;
+const MATRIX: Index = 1_211_216;
 /// PETSc's class number of vectors in files.
-const VECTOR: i32 = 1_211_214;
+const VECTOR: Index = 1_211_214;
 
 /// Reads a system; objects that its file ends before are left empty, as another program's file holds two.
 ///
@@ -77,7 +78,7 @@ impl<R: Read> Objects<R> {
     fn rows(&mut self) -> io::Result<Option<Rows>> {
         let Some([rows, columns, entries]) = self.header(MATRIX)? else { return Ok(None) };
         let lengths = self.integers(rows)?;
-        let mut start = vec![0_i32];
+        let mut start: Vec<Index> = vec![0];
         for length in lengths {
             let end = start.last().and_then(|last| last.checked_add(length)).filter(|_| length >= 0);
             start.push(end.ok_or_else(|| damaged("row lengths"))?);
@@ -101,31 +102,34 @@ impl<R: Read> Objects<R> {
     }
 
     /// The numbers after the class number.
-    fn header<const N: usize>(&mut self, class: i32) -> io::Result<Option<[i32; N]>> {
-        let mut word = [0; 4];
+    fn header<const N: usize>(&mut self, class: Index) -> io::Result<Option<[Index; N]>> {
+        let mut word = [0; size_of::<Index>()];
         match self.0.read_exact(&mut word) {
             Err(end) if end.kind() == io::ErrorKind::UnexpectedEof => return Ok(None),
             other => other?,
         }
-        if i32::from_be_bytes(word) != class {
-            return Err(damaged("not PETSc's binary format with 32-bit integers"));
+        if Index::from_be_bytes(word) != class {
+            return Err(damaged(match Index::BITS {
+                32 => "not PETSc's binary format with 32-bit integers",
+                _ => "not PETSc's binary format with 64-bit integers",
+            }));
         }
-        let numbers = self.integers(N as i32)?;
+        let numbers = self.integers(N as Index)?;
         Ok(numbers.try_into().ok())
     }
 
-    fn integers(&mut self, count: i32) -> io::Result<Vec<i32>> {
-        self.words(count, i32::from_be_bytes)
+    fn integers(&mut self, count: Index) -> io::Result<Vec<Index>> {
+        self.words(count, Index::from_be_bytes)
     }
 
-    fn reals(&mut self, count: i32) -> io::Result<Vec<f64>> {
+    fn reals(&mut self, count: Index) -> io::Result<Vec<f64>> {
         self.words(count, f64::from_be_bytes)
     }
 
     /// A damaged count must not ask for more memory than the file is long: so it grows as it is read.
     fn words<const SIZE: usize, T>(
         &mut self,
-        count: i32,
+        count: Index,
         convert: fn([u8; SIZE]) -> T,
     ) -> io::Result<Vec<T>> {
         let count = usize::try_from(count).map_err(|_| damaged("a negative count"))?;
