@@ -10,7 +10,7 @@ use std::time::Instant;
 use sphpetsc::Error;
 use sphpetsc::petsc::{Ksp, Matrix, Session, Tolerances, Vector, stage};
 use sphpetsc::ppe::solve::PressureSolver;
-use sphpetsc::ppe::{PressureSolve, PressureSystem, Rows};
+use sphpetsc::ppe::{Index, PressureSolve, PressureSystem, Rows};
 
 fn start(options: &str) -> Rc<Session> {
     let tokens: Vec<String> = options.split_whitespace().map(String::from).collect();
@@ -62,7 +62,7 @@ impl Lattice {
                             let j = (q[0] as usize) + nx * (q[1] as usize + ny * q[2] as usize);
                             let weight = shape * (0.8 + 0.4 * noise(i.min(j), i.max(j)));
                             let weight = weight * (1.0 + self.asymmetry * (noise(i, j) - 0.5));
-                            entries.push((j as i32, -weight));
+                            entries.push((j as Index, -weight));
                             diagonal += weight;
                         } else if above {
                             diagonal += shape;
@@ -70,11 +70,11 @@ impl Lattice {
                     }
                 }
             }
-            entries.push((i as i32, diagonal));
+            entries.push((i as Index, diagonal));
             entries.sort_by_key(|e| e.0);
             rows.column.extend(entries.iter().map(|e| e.0));
             rows.value.extend(entries.iter().map(|e| e.1));
-            rows.start.push(rows.column.len() as i32);
+            rows.start.push(rows.column.len() as Index);
         }
         rows
     }
@@ -380,9 +380,9 @@ fn sizes_in_child() {
 fn closed() -> PressureSystem {
     let one = Lattice { surface: false, cells: [20, 20, 1], ..PLANE };
     let (a, b) = (one.system().0, Lattice { cells: [15, 12, 1], ..one }.system().0);
-    let (na, nb) = (a.rhs.len() as i32, b.rhs.len() as i32);
+    let (na, nb) = (a.rhs.len() as Index, b.rhs.len() as Index);
     let join = |a: Rows, b: Rows| {
-        let entries = a.column.len() as i32;
+        let entries = a.column.len() as Index;
         Rows {
             start: a.start.into_iter().chain(b.start[1..].iter().map(|s| s + entries)).collect(),
             column: a.column.into_iter().chain(b.column.iter().map(|c| c + na)).collect(),

@@ -8,7 +8,7 @@ use std::rc::Rc;
 use super::error::check;
 use super::session::Session;
 use super::vec::Vector;
-use super::{Index, ffi};
+use super::{DECIDE, Index, ffi};
 use crate::{Error, Result};
 
 /// A square sparse matrix; each rank owns consecutive rows.
@@ -30,7 +30,7 @@ impl Matrix {
         column: &[Index],
         value: &[f64],
     ) -> Result<Self> {
-        let (mut local, mut global) = (start.len().saturating_sub(1) as ffi::PetscInt, ffi::PETSC_DECIDE);
+        let (mut local, mut global) = (start.len().saturating_sub(1) as ffi::PetscInt, DECIDE);
         // SAFETY: both numbers outlive the call; it only adds up `local` over the ranks.
         check(unsafe { ffi::PetscSplitOwnership(session.comm(), &raw mut local, &raw mut global) })?;
         check_rows(start, column, value, global)?;

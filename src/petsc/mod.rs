@@ -30,6 +30,9 @@ pub use vec::{BinaryFile, Vector};
 /// Number of a row or a column, as wide as this PETSc was built with.
 pub type Index = ffi::PetscInt;
 
+/// `PETSC_DECIDE`, which bindgen takes for 32 bits wide.
+const DECIDE: Index = ffi::PETSC_DECIDE as Index;
+
 // `Rows` of the crate are made of `Index` and f64; PETSc takes them as they are.
 const _: () = assert!(
     size_of::<ffi::PetscScalar>() == size_of::<f64>(),

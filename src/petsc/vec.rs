@@ -5,9 +5,9 @@ use std::rc::Rc;
 use std::{ptr, slice};
 
 use super::error::{c_string, check};
-use super::ffi;
 use super::mat::Matrix;
 use super::session::Session;
+use super::{DECIDE, ffi};
 use crate::Result;
 
 /// A vector spread over the ranks; each rank owns consecutive entries.
@@ -24,7 +24,7 @@ impl Vector {
         // SAFETY: a new object is written to `raw`; `Drop` destroys it also when a later call fails.
         unsafe {
             check(ffi::VecCreate(session.comm(), &raw mut vector.raw))?;
-            check(ffi::VecSetSizes(vector.raw, local as ffi::PetscInt, ffi::PETSC_DECIDE))?;
+            check(ffi::VecSetSizes(vector.raw, local as ffi::PetscInt, DECIDE))?;
             check(ffi::VecSetType(vector.raw, c"standard".as_ptr()))?;
             check(ffi::VecSet(vector.raw, 0.0))?;
         }
