@@ -132,14 +132,15 @@ impl<const D: usize> Halo<D> {
         Self { ranks, reach, peers: Some(peers), ..self }
     }
 
-    /// Tells that solids move; they may turn as well, which lengthens ties along x to their whole length.
-    pub fn let_solids_move(&mut self, particles: &Particles<D>, support: f64) {
-        self.solids_move = true;
+    /// Tells of bodies and whether they move. They may turn, which lengthens ties along x to their whole length, and cover walls, the
+    /// dummies of which are then tied to others within a support.
+    pub fn let_bodies_in(&mut self, particles: &Particles<D>, support: f64, they_move: bool) {
+        self.solids_move = they_move;
         let walls = particles.walls().len();
         let tie =
             |d: usize| (particles.position[d] - particles.position[particles.tie[d - walls] as usize]).norm();
         if self.peers.is_some() {
-            self.reach = support + particles.dummies().map(tie).fold(0.0, f64::max);
+            self.reach = 2.0 * support + particles.dummies().map(tie).fold(0.0, f64::max);
         }
     }
 

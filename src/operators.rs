@@ -45,9 +45,14 @@ impl<'a, const D: usize> Surroundings<'a, D> {
 
     /// Moments of the support of particle `a`; see [`Moments`]. One pass over its neighbours.
     pub fn moments(&self, a: usize) -> Moments<D> {
+        self.moments_over(a, |b| self.active[b])
+    }
+
+    /// Moments of the support of particle `a` over the neighbours that `count`.
+    pub fn moments_over(&self, a: usize, count: impl Fn(usize) -> bool) -> Moments<D> {
         let mut moments = Moments::default();
         let r_a = self.position[a];
-        for (b, w, f) in self.neighbors.row(a).iter().filter(|(b, ..)| self.active[*b]) {
+        for (b, w, f) in self.neighbors.row(a).iter().filter(|(b, ..)| count(*b)) {
             let (r_ab, vf) = (r_a - self.position[b], self.volume * f);
             let grad = vf * r_ab;
             moments.kernel_sum += self.volume * w;

@@ -103,7 +103,7 @@ impl<const D: usize> Bodies<D> {
         // Each body changes its regime once at most; without sliding ones there is one pass.
         for _ in 0..=2 * self.list.len() {
             q = self.newton(flow, &patches, &unknowns, &regimes, dt);
-            force = self.load(flow, &patches, &unknowns, &q).0;
+            force = self.load(flow, &patches, &unknowns, &q, dt).0;
             let mut changed = false;
             for (b, body) in self.list.iter().enumerate() {
                 let Some((k, friction)) = body.sliding() else { continue };
@@ -120,6 +120,7 @@ impl<const D: usize> Bodies<D> {
         }
         for (b, body) in self.list.iter_mut().enumerate() {
             let mine = unknowns.iter().zip(q.iter()).filter(|((owner, _), _)| *owner == b);
+            body.state.hits = [Point::zeros(); 2];
             body.settle(&force[b], mine.map(|((_, k), q)| (*k, *q)), regimes[b], &flow.gravity, dt);
             if let Motion::Prescribed(rows) = &body.motion {
                 let [velocity, spin] = prescribed(rows, self.time + dt);
@@ -202,13 +203,14 @@ impl<const D: usize> Bodies<D> {
         patches
     }
 
-    /// Generalised forces of the liquid on each body at q, and their derivatives by q.
+    /// Generalised forces of the liquid on each body at q, with those of hits over a step of `dt` s, and their derivatives by q.
     fn load(
         &self,
         flow: &Flow<'_, D>,
         patches: &[Patch<D>],
         unknowns: &[(usize, usize)],
         q: &DVector<f64>,
+        dt: f64,
     ) -> (Vec<[f64; 6]>, DMatrix<f64>) {
         let mut force = vec![[0.0; 6]; self.list.len()];
         let mut slope = DMatrix::zeros(unknowns.len(), unknowns.len());
@@ -249,6 +251,10 @@ impl<const D: usize> Bodies<D> {
         for (force, sum) in force.iter_mut().flatten().zip(forces) {
             *force = *sum;
         }
+        for (body, force) in self.list.iter().zip(&mut force) {
+            let hits = body.state.hits.iter().flatten();
+            force.iter_mut().zip(hits).for_each(|(force, impulse)| *force += impulse / dt);
+        }
         (force, DMatrix::from_column_slice(unknowns.len(), unknowns.len(), slopes))
     }
 
@@ -280,7 +286,7 @@ impl<const D: usize> Bodies<D> {
             return q;
         }
         for _ in 0..STEPS {
-            let (force, slope) = self.load(flow, patches, unknowns, &q);
+            let (force, slope) = self.load(flow, patches, unknowns, &q, dt);
             let mut matrix = -slope;
             let mut rest = DVector::zeros(unknowns.len());
             for (i, &(b, k)) in unknowns.iter().enumerate() {

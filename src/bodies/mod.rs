@@ -6,7 +6,7 @@
 //! m dv/dt = F + f + m g + push,   dL/dt = T,   L = I w,   dx/dt = v,   dR/dt = w x R                (1)
 //!
 //! F and T are force and torque of the liquid, the surface integral of its pressure over the faces of the wall cells as in
-//! [`crate::output::forces`], f friction ([`friction`]) and contact. Any component of v and w may be locked: it stays zero. A point
+//! [`crate::output::forces`] and the impulse of particles that hit the body ([`crate::terms::collision`]), f friction ([`friction`]) and contact. Any component of v and w may be locked: it stays zero. A point
 //! at s from the centre moves with, and is accelerated by,
 //!
 //! u = v + w x s,   a = dv/dt + dw/dt x s + w x (w x s)                                             (2)
@@ -31,9 +31,11 @@ pub mod friction;
 use crate::form::{Form, Point, Surface, point};
 use crate::geometry::{Aabb, BodyCells};
 use crate::neighbors::Neighbors;
+use crate::parallel::Ranks;
 use crate::particles::{Particles, Vector};
 use contact::Surroundings;
 use friction::Friction;
+use rayon::prelude::*;
 use std::collections::HashSet;
 
 /// A 3 x 3 matrix.
@@ -55,6 +57,8 @@ pub struct Bodies<const D: usize> {
     surroundings: Surroundings,
     /// Body of each solid particle, or [`NO_BODY`].
     owner: Vec<u32>,
+    /// For each dummy: the wall particle right before it.
+    ties: Vec<u32>,
 }
 
 /// What a body may do.
@@ -92,6 +96,8 @@ pub struct State {
     pub angular_acceleration: Point,
     /// What acted in the last step.
     pub loads: Loads,
+    /// Impulse in N s of particles that hit it at the end of the last step, and its moment in N m s about the centre.
+    pub hits: [Point; 2],
 }
 
 /// Forces in N and torques about the centre in N m; in 2D per metre of width.
@@ -222,7 +228,8 @@ impl<const D: usize> Bodies<D> {
         }
         let bodies = plans.into_iter().zip(cells);
         let list = bodies.map(|(plan, cells)| Body::new(plan, &cells, particles, spacing)).collect();
-        Self { list, time: 0.0, strong, spacing, surroundings: Surroundings::default(), owner }
+        let ties = particles.tie.clone();
+        Self { list, time: 0.0, strong, spacing, surroundings: Surroundings::default(), owner, ties }
     }
 
     /// Lets bodies touch walls and boxes.
@@ -250,6 +257,23 @@ impl<const D: usize> Bodies<D> {
     pub fn movable(&self, a: usize) -> Option<usize> {
         let k = *self.owner.get(a)?;
         (k != NO_BODY && self.list[k as usize].motion != Motion::Fixed).then_some(k as usize)
+    }
+
+    /// Body of solid particle `a`, if it moves by the forces on it.
+    #[inline]
+    pub fn free(&self, a: usize) -> Option<usize> {
+        let k = *self.owner.get(a)?;
+        (k != NO_BODY && matches!(self.list[k as usize].motion, Motion::Free { .. })).then_some(k as usize)
+    }
+
+    /// Adds up the hits that all ranks have seen.
+    pub fn sum_hits(&mut self, ranks: &Ranks) {
+        if self.list.iter().any(|body| !body.freedoms().is_empty()) {
+            let numbers = |body: &Body<D>| body.state.hits.iter().flatten().copied().collect::<Vec<f64>>();
+            let sums = ranks.sums(&self.list.iter().flat_map(numbers).collect::<Vec<f64>>());
+            let hits = self.list.iter_mut().flat_map(|body| body.state.hits.iter_mut().flatten());
+            hits.zip(sums).for_each(|(hit, sum)| *hit = sum);
+        }
     }
 
     /// First half of a step of `dt` s, with the present velocities; then on by `ahead` s for a look at where that leads.
@@ -336,6 +360,44 @@ impl<const D: usize> Bodies<D> {
         }
     }
 
+    /// Finds the walls that other solids cover, none of whose neighbouring cells is open, and ties the dummies behind each to the
+    /// nearest wall of its own solid that is not covered; `solids` has the rows of those that `changed`, the only ones looked at.
+    pub fn find_covered(
+        &self,
+        particles: &mut Particles<D>,
+        solids: &Neighbors<D>,
+        changed: &[bool],
+        covered: &mut Vec<bool>,
+    ) {
+        let near = (FILLED * self.spacing).powi(2);
+        let position = &particles.position;
+        let row = |a: usize| solids.row(a).index.iter().map(|&b| b as usize);
+        let digit = |site: usize, d: usize| (site / 3_usize.pow(d as u32) % 3) as f64 - 1.0;
+        let sites: Vec<Point> = (0..3_usize.pow(D as u32))
+            .map(|site| point(&Vector::<D>::from_fn(|d, _| digit(site, d))))
+            .filter(|site| *site != Point::zeros())
+            .collect();
+        let is_covered = |a: usize| {
+            let rotation = self.movable(a).map_or(Matrix3::identity(), |k| self.list[k].state.rotation);
+            sites.iter().all(|site| {
+                let cell = position[a] + self.spacing * restrict::<D>(&(rotation * site));
+                row(a).any(|b| (position[b] - cell).norm_squared() < near)
+            })
+        };
+        covered.resize(changed.len(), false);
+        let looked_at = covered.par_iter_mut().enumerate().filter(|(a, _)| changed[*a]);
+        looked_at.for_each(|(a, covered)| *covered = is_covered(a));
+        let bearer = |a: usize| {
+            let away = |b: &usize| (position[*b] - position[a]).norm_squared();
+            let own = |b: &usize| *b < changed.len() && self.owner[*b] == self.owner[a] && !covered[*b];
+            row(a).filter(own).min_by(|b, c| away(b).total_cmp(&away(c))).unwrap_or(a)
+        };
+        let ties = self.ties.iter().map(|&wall| wall as usize).enumerate();
+        let moved = ties.filter(|(_, wall)| changed[*wall]);
+        let tie = moved.map(|(k, wall)| (k, if covered[wall] { bearer(wall) } else { wall } as u32));
+        tie.for_each(|(k, wall)| particles.tie[k] = wall);
+    }
+
     /// Whether solid particle `a` or what lies within `reach` m of it belongs to a body: a wall whose surroundings change.
     pub fn is_near(&self, particles: &Particles<D>, a: usize, reach: f64) -> bool {
         let r = point(&particles.position[a]);
@@ -364,6 +426,8 @@ impl<const D: usize> Bodies<D> {
                 s.loads.friction,
                 s.loads.contact,
                 s.loads.contact_torque,
+                s.hits[0],
+                s.hits[1],
             ];
             let numbers = s.rotation.iter().copied().collect::<Vec<f64>>().into_iter();
             numbers.chain(vectors.into_iter().flat_map(|v| [v.x, v.y, v.z])).collect::<Vec<_>>()
@@ -373,7 +437,7 @@ impl<const D: usize> Bodies<D> {
 
     /// Takes back a [`state`](Self::state); `None` if it is not one.
     pub fn set_state(&mut self, numbers: &[f64]) -> Option<()> {
-        const WIDTH: usize = 9 + 11 * 3;
+        const WIDTH: usize = 9 + 13 * 3;
         let (time, rest) = numbers.split_first()?;
         if rest.len() != WIDTH * self.list.len() {
             return None;
@@ -396,6 +460,7 @@ impl<const D: usize> Bodies<D> {
                     contact: vector(9),
                     contact_torque: vector(10),
                 },
+                hits: [vector(11), vector(12)],
             };
         }
         Some(())
@@ -454,6 +519,7 @@ impl<const D: usize> Body<D> {
                 acceleration: Point::zeros(),
                 angular_acceleration: Point::zeros(),
                 loads: Loads::default(),
+                hits: [Point::zeros(); 2],
             },
             motion: plan.motion,
             inertia,
@@ -528,6 +594,43 @@ impl<const D: usize> Body<D> {
     /// Velocity in m/s at `arm` m from the centre.
     pub fn velocity_at(&self, arm: &Vector<D>) -> Vector<D> {
         restrict(&(self.state.velocity + self.state.spin.cross(&point(arm))))
+    }
+
+    /// A vector's components along (`first` = 0) or about (3) the axes that it is free along or about.
+    fn free_part(&self, v: &Point, first: usize) -> Point {
+        Point::from_fn(|k, _| if self.freedoms().contains(&(first + k)) { v[k] } else { 0.0 })
+    }
+
+    /// Change of its spin by a torque's impulse in N m s, about the axes that it is free about.
+    fn spin_by(&self, impulse: &Point) -> Point {
+        let is_free = |k: usize| self.freedoms().contains(&(3 + k));
+        let inertia = self.inertia();
+        let among_free = Matrix3::from_fn(|i, j| match is_free(i) && is_free(j) {
+            true => inertia[(i, j)],
+            false => f64::from(u8::from(i == j)),
+        });
+        self.free_part(&(inverse(&among_free) * self.free_part(impulse, 3)), 3)
+    }
+
+    /// Velocity in m/s of its point at `r` m once the hits have acted.
+    pub fn velocity_after_hits(&self, r: &Vector<D>) -> Vector<D> {
+        let State { position, velocity, spin, hits, .. } = &self.state;
+        let moved = velocity + self.free_part(&hits[0], 0) / self.mass;
+        restrict(&(moved + (spin + self.spin_by(&hits[1])).cross(&(point(r) - position))))
+    }
+
+    /// Velocity in m/s along the unit vector `n` that a unit of impulse along it gives to the point at `r` m.
+    pub fn mobility(&self, r: &Vector<D>, n: &Vector<D>) -> f64 {
+        let (arm, n) = (point(r) - self.state.position, point(n));
+        let turned = self.spin_by(&arm.cross(&n)).cross(&arm);
+        n.dot(&(self.free_part(&n, 0) / self.mass + turned))
+    }
+
+    /// Takes an impulse in N s at the point at `r` m; it acts in the next step.
+    pub fn hit(&mut self, r: &Vector<D>, impulse: &Vector<D>) {
+        let (arm, impulse) = (point(r) - self.state.position, point(impulse));
+        self.state.hits[0] += impulse;
+        self.state.hits[1] += arm.cross(&impulse);
     }
 
     /// Acceleration in m/s2 at `arm` m from the centre; without those of centre and spin if not `given`.

@@ -13,6 +13,11 @@
 //! rule, and the water line beside a wall is the water line of the particles next to it: on a lattice the wall
 //! particle level with the top row is wet (0.81 of its open support is filled), the one above is dry (0.19).
 //! Half and twice the threshold would wet the wall a whole row above, or leave the top row's neighbour dry.
+//!
+//! **Covered walls.** Where a body stands on a floor, the first layers of both lie on each other, and liquid beside the body sees
+//! them. A wall particle none of whose 3^D - 1 neighbouring cells is open is therefore never wet, and the dummies behind it follow
+//! the nearest wall particle of the same solid that can be. What such walls leave empty is not taken for air: a wall at the foot
+//! of a body would pass for a free surface, with p = 0 ([`crate::bodies::Bodies::find_covered`]).
 
 pub mod extrapolation;
 pub mod kinematic;
@@ -37,10 +42,6 @@ pub struct DummyWalls<const D: usize> {
     inertial: Vec<Vector<D>>,
 }
 
-/// A wall particle whose solids leave less of its kernel sum open than this is covered and never wet. In the corner of a tank in 3D
-/// the one open octant amounts to 0.006 at h / dx = 1.2 and to 0.0006 at 1.
-const COVERED: f64 = 1e-4;
-
 impl<const D: usize> DummyWalls<D> {
     /// Measures the open support of each wall particle; `solids` are the neighbours of solids among themselves.
     pub fn new(
@@ -52,22 +53,22 @@ impl<const D: usize> DummyWalls<D> {
     ) -> Self {
         let mut walls =
             Self { threshold: vec![0.0; particles.walls().len()], hydrostatic_gradient, inertial: vec![] };
-        walls.measure(solids, lattice, volume, |_| true);
+        walls.measure(solids, lattice, volume, |_| true, |_| false);
         walls
     }
 
-    /// Measures the open support of the walls for which `changed` holds.
+    /// Measures the open support of the walls for which `changed` holds; those for which `covered` does have none.
     pub fn measure(
         &mut self,
         solids: &Neighbors<D>,
         lattice: &LatticeSums,
         volume: f64,
         changed: impl Fn(usize) -> bool,
+        covered: impl Fn(usize) -> bool,
     ) {
         for (a, threshold) in self.threshold.iter_mut().enumerate().filter(|(a, _)| changed(*a)) {
             let open = lattice.kernel_sum - lattice.own_share - volume * solids.row(a).kernel_sum();
-            *threshold =
-                if open < COVERED * lattice.kernel_sum { f64::INFINITY } else { WET_SHARE * open / volume };
+            *threshold = if covered(a) { f64::INFINITY } else { WET_SHARE * open / volume };
         }
     }
 

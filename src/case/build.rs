@@ -135,6 +135,7 @@ pub fn isph(case: &CaseFile) -> isph::Method {
         collisions: (collision_distance > 0.0).then_some(Collisions {
             distance: collision_distance * case.spacing,
             restitution: collision_restitution,
+            mass: case.fluid.density * case.spacing.powi(case.dimension as i32),
         }),
         courant: case.time.courant,
     }

@@ -167,8 +167,8 @@ impl<const D: usize> Isph<D> {
 
     /// Neighbours, wet walls, and the moments of every support.
     fn survey(&mut self, particles: &mut Particles<D>) {
-        self.halo.renew(particles);
         self.afloat.survey(&self.params, particles, &self.lattice, &mut self.walls);
+        self.halo.renew(particles);
         let (walls, support) = (&self.walls, &mut self.support);
         let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
         let halo = &self.halo;
@@ -183,6 +183,7 @@ impl<const D: usize> Isph<D> {
         self.crowding.resize(count, 0.0);
         let (lattice, first_fluid, dummies) = (&self.lattice, particles.solids(), particles.dummies());
         let criterion = self.has_surface.then_some(self.method.surface);
+        let afloat = &self.afloat;
         (&mut self.moments[..owned], &mut self.surface[..owned], &mut self.crowding[..owned])
             .into_par_iter()
             .enumerate()
@@ -193,8 +194,9 @@ impl<const D: usize> Isph<D> {
                     return;
                 }
                 *moments = surroundings.moments(a);
-                *crowding = (moments.kernel_sum + lattice.own_share) / lattice.kernel_sum;
-                *weight = criterion.map_or(0.0, |criterion| criterion.weight(moments, *crowding));
+                let filled = afloat.fill(&surroundings, particles, a).unwrap_or(*moments);
+                *crowding = (filled.kernel_sum + lattice.own_share) / lattice.kernel_sum;
+                *weight = criterion.map_or(0.0, |criterion| criterion.weight(&filled, *crowding));
             });
         self.halo.refresh(particles.originals(), &mut self.moments);
         self.halo.refresh(particles.originals(), &mut self.surface);
@@ -368,15 +370,19 @@ impl<const D: usize> Isph<D> {
         match self.method.collisions {
             Some(collisions) => {
                 self.halo.share(particles, |particles| &mut particles.velocity);
-                collisions.apply(particles, &self.support.neighbors, &mut self.pairs)
+                let Self { support, afloat, pairs, .. } = self;
+                collisions.apply(particles, &support.neighbors, &mut afloat.bodies, pairs)
             }
             None => 0,
         }
     }
 
-    fn hold(&self, particles: &mut Particles<D>) -> usize {
-        let hold = |c: Collisions| c.hold(particles, &self.support.neighbors, self.params.spacing);
-        self.method.collisions.map_or(0, hold)
+    fn hold(&mut self, particles: &mut Particles<D>) -> usize {
+        let Self { support, afloat, params, .. } = self;
+        let hold = |c: Collisions| c.hold(particles, &support.neighbors, &mut afloat.bodies, params.spacing);
+        let rebounds = self.method.collisions.map_or(0, hold);
+        afloat.bodies.sum_hits(&self.ranks);
+        rebounds
     }
 
     /// r^(n+1) = r* + (dt / 2) (v^(n+1) - v^n), after collisions have had their say in v^(n+1).

@@ -12,6 +12,7 @@ use crate::form::Point;
 use crate::halo::{Halo, PeriodicBox};
 use crate::kernel::{CubicSpline, KernelKind, LatticeSums, Quintic, Smoothing, WendlandC2};
 use crate::neighbors::{Layout, Neighbors};
+use crate::operators::{Moments, Surroundings};
 use crate::parallel::Ranks;
 use crate::particles::{Particles, ReorderScratch, Vector};
 use crate::ppe::SolveRecord;
@@ -120,8 +121,8 @@ fn sort<const D: usize>(
 /// Ghosts and owners of `particles`, the whole scene.
 fn halo<const D: usize>(params: &Params<D>, particles: &Particles<D>) -> Halo<D> {
     let mut halo = Halo::new(params.periodic, params.support()).over(params.ranks, particles);
-    if params.bodies.can_move() {
-        halo.let_solids_move(particles, params.support());
+    if !params.bodies.is_empty() {
+        halo.let_bodies_in(particles, params.support(), params.bodies.can_move());
     }
     halo
 }
@@ -153,6 +154,8 @@ struct Afloat<const D: usize> {
     surveyed: Vec<(Point, Matrix3)>,
     /// Walls that were near them then.
     near: Vec<bool>,
+    /// Walls that other solids covered then.
+    covered: Vec<bool>,
 }
 
 impl<const D: usize> Afloat<D> {
@@ -164,7 +167,7 @@ impl<const D: usize> Afloat<D> {
     fn survey(
         &mut self,
         params: &Params<D>,
-        particles: &Particles<D>,
+        particles: &mut Particles<D>,
         lattice: &LatticeSums,
         walls: &mut DummyWalls<D>,
     ) {
@@ -193,8 +196,22 @@ impl<const D: usize> Afloat<D> {
         let layout = Layout::without_ghosts(solids, solids);
         let (h, places) = (params.smoothing_length(), &particles.position[..solids]);
         self.solids.search(params.kernel, h, places, &layout, threshold);
-        walls.measure(&self.solids, lattice, params.volume(), |a| changed[a]);
+        self.bodies.find_covered(particles, &self.solids, &changed, &mut self.covered);
+        walls.measure(&self.solids, lattice, params.volume(), |a| changed[a], |a| self.covered[a]);
         self.bodies.find_open_faces(particles, &self.solids);
+    }
+
+    /// Moments of the support of particle `a` with the covered walls in it, if there are any.
+    fn fill(
+        &self,
+        surroundings: &Surroundings<'_, D>,
+        particles: &Particles<D>,
+        a: usize,
+    ) -> Option<Moments<D>> {
+        let covered = |b: &usize| self.covered.get(particles.original(*b)) == Some(&true);
+        let mut row = surroundings.neighbors.row(a).iter().map(|(b, ..)| b);
+        let any = !self.covered.is_empty() && row.any(|b| covered(&b));
+        any.then(|| surroundings.moments_over(a, |b| surroundings.active[b] || covered(&b)))
     }
 
     /// Bodies in the middle of a step of `dt` s and `ahead` s on from there, and the accelerations that dummies feel: the last

@@ -250,8 +250,8 @@ impl<const D: usize> Wcsph<D> {
 
     /// Neighbours of liquid and of solids near it, and which walls are wet.
     fn survey(&mut self, particles: &mut Particles<D>) {
-        self.halo.renew(particles);
         self.afloat.survey(&self.params, particles, &self.lattice, &mut self.walls);
+        self.halo.renew(particles);
         // Any liquid at all gives a solid its row. Dummies of repulsive walls do nothing, and no liquid comes near those
         // a support behind the face.
         let (walls, solids, support) = (particles.walls().end, particles.solids(), self.params.support());
@@ -713,31 +713,52 @@ impl Pairs {
 
 /// Hydrostatic pressure, in Pa, of each piece of liquid under its own top: a particle carries the weight of the column
 /// of particles on it, and half a spacing on top of the highest. Where columns of different height meet, the flow
-/// starts with that difference, as when a gate is drawn at once. Ghosts keep theirs. Returns whether anything changed.
+/// starts with that difference, as when a gate is drawn at once. A column that ends below a solid has no top of its own: its
+/// particles take the highest level that those beside them have. Ghosts keep theirs. `roofed` tells the particles of such columns, one
+/// entry a particle. Returns whether anything changed.
 fn hydrostatic<const D: usize>(
     particles: &mut Particles<D>,
     neighbors: &Neighbors<D>,
     params: &Params<D>,
+    roofed: &mut [bool],
 ) -> bool {
     let weight = params.density * params.gravity;
     let Some(down) = weight.try_normalize(0.0) else { return false };
     let spacing = params.spacing;
+    // Levels closer than this are one: rounding must not raise them without end.
+    let close = 1e-6 * spacing * weight.norm();
     let mut order: Vec<usize> = particles.fluid().collect();
     let position = &particles.position;
     let mut changed = false;
     order.sort_by(|&a, &b| down.dot(&position[a]).total_cmp(&down.dot(&position[b])));
     for a in order {
-        let mut pressure = 0.5 * spacing * weight.norm();
-        for (b, ..) in neighbors.row(a).split().0.iter() {
-            let r_ab = position[a] - position[b];
-            let below = r_ab.dot(&down);
-            let aside = (r_ab - below * down).norm();
-            // The one particle on top, disordered by less than half a spacing.
-            if below > 0.5 * spacing && below < 1.5 * spacing && aside < 0.5 * spacing {
-                pressure = pressure.max(particles.pressure[particles.original(b)] + weight.dot(&r_ab));
-            }
+        let (liquid, solid) = neighbors.row(a).split();
+        let away = |b: usize| {
+            let below = (position[a] - position[b]).dot(&down);
+            (below, (position[a] - position[b] - below * down).norm())
+        };
+        // The one particle on top, disordered by less than half a spacing; a solid may be off the lattice by that.
+        let is_on_top = |b: usize, width: f64| {
+            let (below, aside) = away(b);
+            below > 0.5 * spacing && below < 1.5 * spacing && aside < width * spacing
+        };
+        let level =
+            |b: usize| particles.pressure[particles.original(b)] + weight.dot(&(position[a] - position[b]));
+        let tops = || liquid.iter().map(|(b, ..)| b).filter(|&b| is_on_top(b, 0.5));
+        let mut pressure = tops().map(level).fold(0.5 * spacing * weight.norm(), f64::max);
+        let roof = match tops().next() {
+            Some(_) => tops().any(|b| roofed[particles.original(b)]),
+            None => solid.iter().any(|(b, ..)| is_on_top(b, 0.75)),
+        };
+        if roof {
+            let beside = liquid.iter().map(|(b, ..)| b);
+            let touching = beside.filter(|&b| (position[a] - position[b]).norm() < 1.5 * spacing);
+            pressure = touching.map(level).fold(pressure, f64::max);
         }
-        changed |= std::mem::replace(&mut particles.pressure[a], pressure) != pressure;
+        let before = (particles.pressure[a], roofed[a]);
+        if (pressure - before.0).abs() > close || roof != before.1 {
+            (particles.pressure[a], roofed[a], changed) = (pressure, roof, true);
+        }
     }
     changed
 }
@@ -771,8 +792,14 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
     fn start(&mut self, particles: &mut Particles<D>) -> Result<()> {
         self.survey(particles);
         // Columns may lean over to other ranks and back.
-        while self.ranks.any(hydrostatic(particles, &self.neighbors, &self.params)) {
+        if self.params.gravity.norm() > 0.0 {
+            let fluid = particles.fluid();
+            particles.pressure[fluid].fill(0.0);
+        }
+        let mut roofed = vec![false; particles.len()];
+        while self.ranks.any(hydrostatic(particles, &self.neighbors, &self.params, &mut roofed)) {
             self.halo.share(particles, |particles| &mut particles.pressure);
+            self.halo.refresh(particles.originals(), &mut roofed);
         }
         self.densities(particles);
         self.pressures(particles);

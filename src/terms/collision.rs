@@ -6,9 +6,15 @@
 //! infinite mass, and flat ones take the impulse along their normal: along the line of centres a film would stumble over the
 //! particles of the floor it glides on. Pairs are treated one after the other in a fixed order, those across ranks first and at once.
 //!
+//! **Bodies** that are free take part with the mass that they show at the point where they are hit, 1 / (n . K n) with K = 1 / M there:
+//! the impulse on the particle is (1 + e) of the approach times the reduced mass of both, the body takes the opposite one, and the
+//! next hit meets a body that has it. It acts on the body in its next step, with what else it feels then ([`crate::bodies::coupling`]): so
+//! friction and the added mass of the liquid have their say.
+//!
 //! Between the particles of a wall a single drop on a dry floor would still slip through, as nothing but a collision stops it
 //! there. So a particle that has got behind the face of a wall is put back on it and rebounds.
 
+use crate::bodies::Bodies;
 use crate::neighbors::Neighbors;
 use crate::particles::{Particles, Vector};
 use rayon::prelude::*;
@@ -20,6 +26,8 @@ pub struct Collisions {
     pub distance: f64,
     /// Coefficient of restitution e.
     pub restitution: f64,
+    /// Mass of a particle in kg, in 2D per metre of width.
+    pub mass: f64,
 }
 
 impl Collisions {
@@ -29,6 +37,7 @@ impl Collisions {
         &self,
         particles: &mut Particles<D>,
         neighbors: &Neighbors<D>,
+        bodies: &mut Bodies<D>,
         pairs: &mut Vec<(u32, u32)>,
     ) -> usize {
         let (fluid, solids) = (particles.fluid(), particles.solids());
@@ -43,12 +52,14 @@ impl Collisions {
         };
         pairs.clear();
         pairs.par_extend(fluid.into_par_iter().with_min_len(256).flat_map_iter(close));
+        let normal = |particles: &Particles<D>, a: usize, b: usize| match particles
+            .flat_normal(particles.original(b))
+        {
+            Some(normal) => Some(*normal),
+            None => (particles.position[a] - particles.position[b]).try_normalize(0.0),
+        };
         let impulse = |particles: &Particles<D>, a: usize, b: usize| -> Option<Vector<D>> {
-            let original = particles.original(b);
-            let normal = match particles.flat_normal(original) {
-                Some(normal) => *normal,
-                None => (particles.position[a] - particles.position[b]).try_normalize(0.0)?,
-            };
+            let (original, normal) = (particles.original(b), normal(particles, a, b)?);
             let v_ab = particles.velocity[a] - particles.velocity[original];
             let approach = v_ab.dot(&normal);
             (approach < 0.0).then(|| -(1.0 + self.restitution) * approach * normal)
@@ -67,6 +78,12 @@ impl Collisions {
         across.into_iter().for_each(|(a, half)| particles.velocity[a] += half);
         for &(a, b) in pairs.iter() {
             let (a, b) = (a as usize, b as usize);
+            if let Some(body) = bodies.free(particles.original(b)) {
+                let normal = normal(particles, a, b);
+                let hit = |normal| self.strike(particles, bodies, body, a, &normal);
+                collided += usize::from(normal.is_some_and(hit));
+                continue;
+            }
             let Some(impulse) = impulse(particles, a, b) else { continue };
             collided += 1;
             let b = particles.original(b);
@@ -80,11 +97,34 @@ impl Collisions {
         collided
     }
 
+    /// Lets particle `a` hit a free body, along the line through `a` across the unit `normal`; returns whether they approached.
+    fn strike<const D: usize>(
+        &self,
+        particles: &mut Particles<D>,
+        bodies: &mut Bodies<D>,
+        body: usize,
+        a: usize,
+        normal: &Vector<D>,
+    ) -> bool {
+        let body = &mut bodies.list[body];
+        let at = particles.position[a];
+        let approach = (particles.velocity[a] - body.velocity_after_hits(&at)).dot(normal);
+        if approach >= 0.0 {
+            return false;
+        }
+        let share = 1.0 / (1.0 + self.mass * body.mobility(&at, normal));
+        let change = -(1.0 + self.restitution) * approach * share * normal;
+        particles.velocity[a] += change;
+        body.hit(&at, &(-self.mass * change));
+        true
+    }
+
     /// Keeps the liquid before the faces of walls, at the end of a step. Returns the number of rebounds.
     pub fn hold<const D: usize>(
         &self,
         particles: &mut Particles<D>,
         neighbors: &Neighbors<D>,
+        bodies: &mut Bodies<D>,
         spacing: f64,
     ) -> usize {
         let (first, walls) = (particles.solids(), particles.walls().end);
@@ -95,32 +135,43 @@ impl Collisions {
         let mut velocity = std::mem::take(&mut particles.velocity);
         let (solid_position, fluid_position) = position.split_at_mut(first);
         let (solid_velocity, fluid_velocity) = velocity.split_at_mut(first);
-        let rebounds = (&mut fluid_position[..owned - first], &mut fluid_velocity[..owned - first])
-            .into_par_iter()
-            .enumerate()
-            .with_min_len(256)
-            .map(|(k, (r, v))| {
-                let mut rebounds = 0;
-                let row = neighbors.row(first + k).split().1.index.iter();
-                // Ghosts of walls repeat what their originals do beyond a periodic side: too far away to touch.
-                for w in row.map(|&w| w as usize).filter(|&w| w < walls) {
-                    let (away, normal) = (*r - solid_position[w], particles.normal[w]);
-                    let height = away.dot(&normal);
-                    let gap = height - particles.depth[w];
-                    if gap >= 0.0 || away.norm_squared() - height * height > aside {
-                        continue;
+        let (mut rebounds, hits) =
+            (&mut fluid_position[..owned - first], &mut fluid_velocity[..owned - first])
+                .into_par_iter()
+                .enumerate()
+                .with_min_len(256)
+                .map(|(k, (r, v))| {
+                    let (mut rebounds, mut hits) = (0, vec![]);
+                    let row = neighbors.row(first + k).split().1.index.iter();
+                    // Ghosts of walls repeat what their originals do beyond a periodic side: too far away to touch.
+                    for w in row.map(|&w| w as usize).filter(|&w| w < walls) {
+                        let (away, normal) = (*r - solid_position[w], particles.normal[w]);
+                        let height = away.dot(&normal);
+                        let gap = height - particles.depth[w];
+                        if gap >= 0.0 || away.norm_squared() - height * height > aside {
+                            continue;
+                        }
+                        let approach = (*v - solid_velocity[w]).dot(&normal);
+                        if bodies.free(w).is_some() {
+                            hits.push((first + k, w));
+                        } else if approach < 0.0 {
+                            *v -= (1.0 + self.restitution) * approach * normal;
+                            rebounds += 1;
+                        }
+                        *r -= gap * normal;
                     }
-                    let approach = (*v - solid_velocity[w]).dot(&normal);
-                    if approach < 0.0 {
-                        *v -= (1.0 + self.restitution) * approach * normal;
-                        rebounds += 1;
-                    }
-                    *r -= gap * normal;
-                }
-                rebounds
-            })
-            .sum();
+                    (rebounds, hits)
+                })
+                .reduce(Default::default, |(m, mut all), (n, hits)| {
+                    all.extend(hits);
+                    (m + n, all)
+                });
         (particles.position, particles.velocity) = (position, velocity);
+        for (a, w) in hits {
+            let (body, normal) = (bodies.free(w), particles.normal[w]);
+            let hit = |body| self.strike(particles, bodies, body, a, &normal);
+            rebounds += usize::from(body.is_some_and(hit));
+        }
         rebounds
     }
 }
