@@ -3,8 +3,9 @@
 //! This is its only adapter. At the end of a step it is shown all bodies where the step found them, with the velocities that
 //! they would have without touching anything, and gives back velocities (and, of bodies that do touch, places)
 //! that keep them apart, with Coulomb friction and without rebound. The force that this takes, over the step, is the contact
-//! force of [`super::Loads`]; the next step's coupling expects it to last, so that a body at rest on the floor does not
-//! seem to fall to the liquid around it.
+//! force of [`super::Loads`]. The next step's coupling expects what the last two steps have in common of it, so that a body at rest
+//! on the floor does not seem to fall to the liquid around it. The blow of an impact lasts for one step: expected to last, it makes
+//! the liquid around a light body push back at nothing, which a jam of boxes amplifies until they fly apart.
 //!
 //! Nothing is kept from one step to the next: a resumed run meets the same contacts. A body in 2D is one in 3D, a metre
 //! wide, that stays in its plane. Fixed and prescribed bodies push others and are not pushed. One that slides along one axis stops at
@@ -14,7 +15,7 @@
 //! coasts too short by v dt / 2. So a body goes along its contacts as the rule has it, and across them as rapier has it, which
 //! keeps what lands from sinking in.
 
-use super::{Bodies, Body, Matrix3};
+use super::{Bodies, Body, Matrix3, State};
 use crate::form::{Form, Point};
 use crate::geometry::Enclosure;
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
@@ -60,6 +61,12 @@ impl Surroundings {
 /// A corner in space: in 2D at half a metre from the plane.
 fn wide<const D: usize>(corner: &crate::particles::Vector<D>, side: f64) -> Point {
     Point::from_fn(|d, _| if d < D { corner[d] } else { 0.5 * side })
+}
+
+/// As much of `now` as `before` had in its direction.
+fn in_common(now: &Point, before: &Point) -> Point {
+    let square = now.norm_squared();
+    if square > 0.0 { (now.dot(before) / square).clamp(0.0, 1.0) * now } else { Point::zeros() }
 }
 
 fn vector(p: &Point) -> Vector {
@@ -121,9 +128,8 @@ impl<const D: usize> Bodies<D> {
 impl<const D: usize> Body<D> {
     /// Its velocity and spin without the contact that its step expected.
     fn free_motion(&self, dt: f64) -> [Point; 2] {
-        let (state, loads) = (&self.state, &self.state.loads);
-        let contact = self.free_part(&loads.contact, 0);
-        [state.velocity - dt / self.mass * contact, state.spin - dt * self.spin_by(&loads.contact_torque)]
+        let State { velocity, spin, expected: [contact, torque], .. } = &self.state;
+        [velocity - dt / self.mass * self.free_part(contact, 0), spin - dt * self.spin_by(torque)]
     }
 
     /// Its solid as rapier has it; nothing for a form that it cannot take.
@@ -228,13 +234,17 @@ impl<const D: usize> Body<D> {
             normals.iter().for_each(|normal| along -= along.dot(normal) * normal);
             let turned = *place.rotation.to_rotation_matrix().matrix();
             self.touching = Some((found + self.free_part(&along, 0), turned));
-        } else if self.state.loads.contact == Point::zeros()
-            && self.state.loads.contact_torque == Point::zeros()
-        {
+        }
+        let contact = self.mass / dt * (velocity - free);
+        let torque = self.inertia() * (spin - free_spin) / dt;
+        let loads = &mut self.state.loads;
+        let expects_nothing = self.state.expected == [Point::zeros(); 2];
+        self.state.expected =
+            [in_common(&contact, &loads.contact), in_common(&torque, &loads.contact_torque)];
+        (loads.contact, loads.contact_torque) = (contact, torque);
+        if after.is_none() && expects_nothing {
             return;
         }
-        self.state.loads.contact = self.mass / dt * (velocity - free);
-        self.state.loads.contact_torque = self.inertia() * (spin - free_spin) / dt;
         let before = self.start;
         self.state.velocity = velocity;
         self.state.acceleration = (velocity - before.0) / dt;

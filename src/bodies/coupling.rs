@@ -343,12 +343,12 @@ impl<const D: usize> Body<D> {
 
     /// Force in N or torque in N m along or about axis `k` but for friction, with that of the liquid.
     fn driving(&self, k: usize, liquid: f64, gravity: &Vector<D>) -> f64 {
-        let loads = &self.state.loads;
+        let [contact, contact_torque] = &self.state.expected;
         match k {
-            0..3 => liquid + self.mass * point(gravity)[k] + self.push[k] + loads.contact[k],
+            0..3 => liquid + self.mass * point(gravity)[k] + self.push[k] + contact[k],
             _ => {
                 let spin = self.state.spin;
-                liquid + loads.contact_torque[k - 3] - spin.cross(&(self.inertia() * spin))[k - 3]
+                liquid + contact_torque[k - 3] - spin.cross(&(self.inertia() * spin))[k - 3]
             }
         }
     }

@@ -98,6 +98,8 @@ pub struct State {
     pub loads: Loads,
     /// Impulse in N s of particles that hit it at the end of the last step, and its moment in N m s about the centre.
     pub hits: [Point; 2],
+    /// Force and torque of contact that the next step expects: what the last two have in common.
+    pub expected: [Point; 2],
 }
 
 /// Forces in N and torques about the centre in N m; in 2D per metre of width.
@@ -428,6 +430,8 @@ impl<const D: usize> Bodies<D> {
                 s.loads.contact_torque,
                 s.hits[0],
                 s.hits[1],
+                s.expected[0],
+                s.expected[1],
             ];
             let numbers = s.rotation.iter().copied().collect::<Vec<f64>>().into_iter();
             numbers.chain(vectors.into_iter().flat_map(|v| [v.x, v.y, v.z])).collect::<Vec<_>>()
@@ -437,7 +441,7 @@ impl<const D: usize> Bodies<D> {
 
     /// Takes back a [`state`](Self::state); `None` if it is not one.
     pub fn set_state(&mut self, numbers: &[f64]) -> Option<()> {
-        const WIDTH: usize = 9 + 13 * 3;
+        const WIDTH: usize = 9 + 15 * 3;
         let (time, rest) = numbers.split_first()?;
         if rest.len() != WIDTH * self.list.len() {
             return None;
@@ -461,6 +465,7 @@ impl<const D: usize> Bodies<D> {
                     contact_torque: vector(10),
                 },
                 hits: [vector(11), vector(12)],
+                expected: [vector(13), vector(14)],
             };
         }
         Some(())
@@ -520,6 +525,7 @@ impl<const D: usize> Body<D> {
                 angular_acceleration: Point::zeros(),
                 loads: Loads::default(),
                 hits: [Point::zeros(); 2],
+                expected: [Point::zeros(); 2],
             },
             motion: plan.motion,
             inertia,
@@ -663,7 +669,7 @@ impl<const D: usize> Body<D> {
         let spin = self.state.spin;
         self.state.velocity += dt * self.state.acceleration;
         if self.turns_freely() {
-            let Loads { torque, contact_torque, .. } = self.state.loads;
+            let (torque, contact_torque) = (self.state.loads.torque, self.state.expected[1]);
             let free = |k: usize| if D == 3 || k == 2 { 1.0 } else { 0.0 };
             let torque = (torque + contact_torque).component_mul(&Point::from_fn(|k, _| free(k)));
             self.state.angular_momentum += dt * torque;
