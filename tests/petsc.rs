@@ -186,7 +186,7 @@ fn methods_for_symmetric_matrices_are_nested() {
 /// Runs the ignored test `name` of this file in a process of its own and returns all it printed.
 fn child(name: &str, options: &str) -> String {
     let output = Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", name, "--ignored", "--nocapture"])
+        .args(["--exact", &format!("petsc::{name}"), "--ignored", "--nocapture"])
         .env("SPHPETSC_TEST_OPTIONS", options)
         .output()
         .unwrap();

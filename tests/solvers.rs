@@ -50,7 +50,7 @@ fn save_systems(folder: &Path) -> Vec<PathBuf> {
 /// Stores the pressures of a solution, one file a system.
 fn solve_file(file: &Path, options: &str) -> Vec<f64> {
     let output = Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "solve_one", "--ignored", "--nocapture"])
+        .args(["--exact", "solvers::solve_one", "--ignored", "--nocapture"])
         .env("SPHPETSC_TEST_SYSTEM", file)
         .env("SPHPETSC_TEST_OPTIONS", options)
         .output()
