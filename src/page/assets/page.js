@@ -100,7 +100,9 @@ function draw(plot, card) {
     font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" });
   const computed = plot.curves.filter((c) => !c.dots).flatMap((c) => c.x);
   const range = plot.log ? undefined : () => [computed.reduce((a, b) => Math.min(a, b), Infinity), computed.reduce((a, b) => Math.max(a, b), -Infinity)];
-  const wide = (_, low, high) => low > 0 ? [low / 1.6, high * 1.6] : [0.1, 1];
+  // A logarithmic axis begins at a whole multiple of a power of ten: from between two of them its marks may never end.
+  const whole = (v) => { const power = 10 ** Math.floor(Math.log10(v)); return Number((Math.max(1, Math.floor(v / power)) * power).toPrecision(1)); };
+  const wide = (_, low, high) => low > 0 ? [whole(low / 1.6), high * 1.6] : [0.1, 1];
   const values = (_, ticks) => ticks.map((v) => v === null ? null : number(v));
   const options = {
     width: card.clientWidth - 20, height: 260, series: [{ label: plot.x, value: (_, v) => v == null ? "\u2013" : number(v) }, ...series],
