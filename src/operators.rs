@@ -149,6 +149,12 @@ impl<const D: usize> Moments<D> {
         self.matrix.trace()
     }
 
+    /// How full the support is, from 0 to D, with no direction making up for another: D det(M)^(1/D). It is div r where all
+    /// directions are alike, and less elsewhere.
+    pub fn filling(&self) -> f64 {
+        D as f64 * inverse(&self.matrix).1.max(0.0).powf(1.0 / D as f64)
+    }
+
     /// B_a, where the support is good enough for it.
     pub fn correction(&self) -> Option<Matrix<D>> {
         // Cofactors written out: nalgebra's general inverse is bounded by dimension traits that a const D lacks.

@@ -18,6 +18,12 @@
 //! Found of C = 1.05: 0.82, 0.94, 0.99 at 4, 8, 16 spacings a radius; what is missing is of first order, most of it the steps of
 //! the lattice's circle.
 //!
+//! **Positive added mass.** Half -q . G Y q is the kinetic energy of the liquid that moves with the bodies: the added mass is
+//! positive. Its discrete form need not be, because a wall at a corner may get its pressure from liquid that the body's motion takes it
+//! away from. A light body that is barely wet then has almost no inertia, or a negative one, and one step throws it: in `debris` at
+//! 0.02 m a box of 100 kg/m3 at 46 m/s, from a flood of 2. What the symmetric part of -dG/dq has of negative eigenvalues, as shares of
+//! the mass, is therefore left out; where all are positive nothing changes.
+//!
 //! **Covered faces**, those that lie on another solid, are dry in (1) unless liquid seeps under the body: then they carry the
 //! mean pressure of the wet rim of the covered patch, dry parts of the rim counting as 0; see [`super::friction`].
 
@@ -255,7 +261,33 @@ impl<const D: usize> Bodies<D> {
             let hits = body.state.hits.iter().flatten();
             force.iter_mut().zip(hits).for_each(|(force, impulse)| *force += impulse / dt);
         }
-        (force, DMatrix::from_column_slice(unknowns.len(), unknowns.len(), slopes))
+        let slope = DMatrix::from_column_slice(unknowns.len(), unknowns.len(), slopes);
+        let Some(excess) = self.negative_added_mass(unknowns, &slope) else { return (force, slope) };
+        let pull = &excess * q;
+        for (&(b, k), pull) in unknowns.iter().zip(pull.iter()) {
+            force[b][k] -= pull;
+        }
+        (force, slope - excess)
+    }
+
+    /// Minus the negative part of the added mass, given the derivatives of the forces by q; none if there is none.
+    fn negative_added_mass(&self, unknowns: &[(usize, usize)], slope: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        let n = unknowns.len();
+        let inertia = DMatrix::from_fn(n, n, |i, l| {
+            let ((b, k), (c, m)) = (unknowns[i], unknowns[l]);
+            if b == c { self.list[b].mass_between(k, m) } else { 0.0 }
+        });
+        let root = inertia.cholesky()?.unpack();
+        let added = -0.5 * (slope + slope.transpose());
+        let scaled = root.solve_lower_triangular(&added)?;
+        let scaled = root.solve_lower_triangular(&scaled.transpose())?;
+        let eigen = scaled.symmetric_eigen();
+        if eigen.eigenvalues.iter().all(|share| *share >= 0.0) {
+            return None;
+        }
+        let negative = eigen.eigenvalues.map(|share| (-share).max(0.0));
+        let modes = root * eigen.eigenvectors;
+        Some(&modes * DMatrix::from_diagonal(&negative) * modes.transpose())
     }
 
     fn add_repulsion(&self, flow: &Flow<'_, D>, force: &mut [[f64; 6]]) {
