@@ -194,7 +194,7 @@ impl<const D: usize> Isph<D> {
                     return;
                 }
                 *moments = surroundings.moments(a);
-                let filled = afloat.fill(&surroundings, particles, a).unwrap_or(*moments);
+                let filled = afloat.fill(&surroundings, particles, lattice, a).unwrap_or(*moments);
                 *crowding = (filled.kernel_sum + lattice.own_share) / lattice.kernel_sum;
                 *weight = criterion.map_or(0.0, |criterion| criterion.weight(&filled, *crowding));
             });
