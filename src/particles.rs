@@ -44,6 +44,8 @@ pub struct Particles<const D: usize> {
     /// For each wall and dummy particle: distance to the solid's face in m (half a spacing for walls).
     pub depth: Vec<f64>,
     walls: usize,
+    /// For each wall particle: whether its solid is flat there, in the position it starts from.
+    flat: Vec<bool>,
     /// For each ghost: the particle of which it is a copy, or itself if that is on another rank.
     originals: Vec<u32>,
 }
@@ -57,11 +59,14 @@ impl<const D: usize> Particles<D> {
         tie: Vec<u32>,
     ) -> Self {
         let count = position.len();
+        let walls = count - tie.len();
+        let is_flat = |normal: &Vector<D>| normal.iter().any(|n| n.abs() > 1.0 - 1e-9);
         Self {
+            flat: normal[..walls].iter().map(is_flat).collect(),
             velocity: vec![Vector::zeros(); count],
             pressure: vec![0.0; count],
             id: (0..count as u64).collect(),
-            walls: count - tie.len(),
+            walls,
             position,
             tie,
             normal,
@@ -170,10 +175,10 @@ impl<const D: usize> Particles<D> {
         self.position.is_empty()
     }
 
-    /// Normal of a wall particle of a flat wall across an axis; none for other solids, at edges and corners, and on turned bodies.
+    /// Normal of a wall particle of a flat wall, which lies across an axis unless a body has turned; none for other solids, and at
+    /// edges and corners.
     pub fn flat_normal(&self, b: usize) -> Option<&Vector<D>> {
-        let normal = self.walls().contains(&b).then(|| &self.normal[b]);
-        normal.filter(|normal| normal.iter().any(|n| n.abs() > 1.0 - 1e-9))
+        self.flat.get(b)?.then(|| &self.normal[b])
     }
 
     /// Index range of wall particles.

@@ -273,6 +273,9 @@ impl<const D: usize> Bodies<D> {
     /// Minus the negative part of the added mass, given the derivatives of the forces by q; none if there is none.
     fn negative_added_mass(&self, unknowns: &[(usize, usize)], slope: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let n = unknowns.len();
+        if n == 0 {
+            return None;
+        }
         let inertia = DMatrix::from_fn(n, n, |i, l| {
             let ((b, k), (c, m)) = (unknowns[i], unknowns[l]);
             if b == c { self.list[b].mass_between(k, m) } else { 0.0 }

@@ -13,7 +13,10 @@
 //! **Smooth floors.** The products add up to 1 over the particles of a flat wall, so that liquid which glides along it feels no
 //! lattice. Monaghan's central forces, (1) with the direction of r_ab for n and r_ab for y, let it roll over a row of humps: a friction
 //! that nobody asked for. Those stay for the particles of edges and corners, whose normals are oblique: their planes cut through
-//! the liquid beside them. So they do for walls that are turned, whose lattice (1) does not know.
+//! the liquid beside them.
+//!
+//! **Turned bodies.** (1) does not know their lattice, so max(0, 1 - |t| / dx) takes the place of the product: the same in 2D, between 1
+//! and 1.17 in all in 3D. Central forces, weakest half way between two particles, let liquid that a box presses on slip into it.
 
 use crate::particles::Vector;
 
@@ -46,7 +49,11 @@ impl Repulsion {
             return Vector::zeros();
         }
         let aside = r_ab - y * direction;
-        let share: f64 = aside.iter().map(|t| (1.0 - t.abs() / self.spacing).max(0.0)).product();
+        let near = |t: f64| (1.0 - t.abs() / self.spacing).max(0.0);
+        let share = match direction.iter().any(|n| n.abs() > 1.0 - 1e-9) {
+            true => aside.iter().map(|t| near(*t)).product(),
+            false => near(aside.norm()),
+        };
         let ratio = (self.reach / y).powi(2);
         share * self.strength * (ratio * ratio - ratio) / y * direction
     }
@@ -66,6 +73,19 @@ mod tests {
         for normal in [Some(&up), None] {
             let f = wall.of(&Vector::<2>::new(0.0, 0.005), normal);
             assert!((f.y - 12.0 * 19.62 / 0.005).abs() < 1e-8 && f.x == 0.0);
+        }
+    }
+
+    #[test]
+    fn a_turned_wall_pushes_as_before() {
+        let wall = Repulsion::new(9.81, 0.4, 0.0, 0.01, 1.0);
+        let (along, normal) = (Vector::<2>::new(0.8, 0.6), Vector::<2>::new(-0.6, 0.8));
+        for x in [0.0, 0.0025, 0.005] {
+            let r = x * along + 0.007 * normal;
+            let turned: Vector<2> =
+                (-3..4).map(|k| wall.of(&(r - 0.01 * f64::from(k) * along), Some(&normal))).sum();
+            let straight = wall.of(&Vector::<2>::new(0.0, 0.007), Some(&Vector::<2>::new(0.0, 1.0)));
+            assert!((turned - straight.y * normal).norm() < 1e-12 * straight.y, "{x}: {turned}");
         }
     }
 

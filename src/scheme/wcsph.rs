@@ -584,6 +584,12 @@ impl<const D: usize> Wcsph<D> {
         }
         self.halo.share(particles, |particles| &mut particles.pressure);
         self.halo.refresh(particles.originals(), &mut self.crowding);
+        // A light body answers to the push of one particle with a multiple of that particle's acceleration.
+        if !self.afloat.bodies.is_empty() {
+            self.afloat.accelerate(&self.params, particles, false, &mut self.walls);
+            let solids = self.afloat.accelerations.iter().map(|a| a.norm_squared());
+            acceleration = solids.fold(acceleration, f64::max);
+        }
         self.acceleration = self.ranks.max(acceleration.sqrt());
         self.largest_variation = self.ranks.max(variation).max(self.largest_variation);
     }
