@@ -227,13 +227,48 @@ fn collisions_keep_the_momentum_of_liquid_and_body() {
             (liquid.0 + p, liquid.1 + l, liquid.2 + energy)
         };
         let before = totals(&particles, &bodies);
-        let hits = collisions.apply(&mut particles, &neighbors, &mut bodies, &mut vec![]);
+        let hits = collisions.apply(&mut particles, &neighbors, &mut bodies, &mut vec![], &mut []);
         let after = totals(&particles, &bodies);
         assert!(hits > 1, "{hits}");
         assert!((after.0 - before.0).norm() < 1e-12 * before.0.norm(), "{mass}: momentum");
         assert!((after.1 - before.1).norm() < 1e-12 * before.1.norm(), "{mass}: angular momentum");
         assert!(after.2 < before.2 * (1.0 + 1e-12), "{mass}: {} J of {} J", after.2, before.2);
     }
+}
+
+#[test]
+fn walls_receive_what_collisions_take_from_the_liquid() {
+    let drop =
+        ("fluid.block", "[{min = [0, 0.5, 0.9], max = [0.15, 0.6, 1.05], velocity = [-2, 0.3, -0.1]}]");
+    let text = with(DRY, "min = [1, 0.4, 0.8]\nmax = [1.2, 0.6, 1.1]\nmotion = \"free\"\nmass = 10");
+    let Scene { mut particles, params, .. } = build::scene::<3>(&case(&text, &[drop]));
+    let mut bodies = params.bodies.clone();
+    let mut neighbors = Neighbors::default();
+    let layout = Layout::of(&particles);
+    let (kernel, h) = (params.kernel, params.smoothing_length());
+    neighbors.search(kernel, h, &particles.position, &layout, |_| f64::NEG_INFINITY);
+    let collisions = Collisions { distance: 1.2 * params.spacing, restitution: 0.2, mass: params.mass() };
+    let momentum = |particles: &Particles<3>| -> Vector<3> {
+        particles.fluid().map(|a| params.mass() * particles.velocity[a]).sum()
+    };
+    let before = momentum(&particles);
+    let mut received = vec![Vector::zeros(); particles.walls().len()];
+    collisions.apply(&mut particles, &neighbors, &mut bodies, &mut vec![], &mut received);
+    let struck = momentum(&particles);
+    let impulse: Vector<3> = received.iter().sum();
+    assert!(impulse.x < -0.1 * before.norm());
+    assert!((impulse - (before - struck)).norm() < 1e-12 * before.norm());
+    // Behind the face, and still on its way: both the place and the velocity are mended.
+    for a in particles.fluid() {
+        particles.position[a].x -= 0.04;
+        particles.velocity[a].x = -1.0;
+    }
+    let before = momentum(&particles);
+    received.fill(Vector::zeros());
+    let rebounds = collisions.hold(&mut particles, &neighbors, &mut bodies, params.spacing, &mut received);
+    let impulse: Vector<3> = received.iter().sum();
+    assert!(rebounds > 1 && particles.fluid().all(|a| particles.position[a].x > -1e-12));
+    assert!((impulse - (before - momentum(&particles))).norm() < 1e-12 * before.norm());
 }
 
 #[test]

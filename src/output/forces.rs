@@ -9,8 +9,8 @@
 //! water (1) is exact: a floor bears the weight above it, a wall rho g H^2 / 2 per width, a submerged box its
 //! buoyancy. Dry wall particles add nothing, and friction is left out.
 //!
-//! Schemes whose walls also repel the liquid, or do only that, report the reaction on each wall particle, and it is added. A
-//! particle in a corner of the tank belongs to several sides, to each with the component along
+//! Schemes whose walls also repel the liquid, or do only that, report the reaction on each wall particle, and it is added; so are
+//! the impulses of particles that collide with walls, over the step. A particle in a corner of the tank belongs to several sides, to each with the component along
 //! that side's normal.
 
 use crate::case::{CaseFile, Probe, Side, build::side_of};

@@ -110,6 +110,8 @@ pub struct Isph<const D: usize> {
     change: Vec<(Vector<D>, Vector<D>)>,
     assembler: Assembler,
     pairs: Vec<(u32, u32)>,
+    /// What walls receive in collisions over a step: impulses in N s, at its end forces in N.
+    wall_force: Vec<Vector<D>>,
     reorder: ReorderScratch<D>,
     afloat: Afloat<D>,
     /// For each free axis of a body: the right-hand side for a unit of its acceleration, and what pressure that makes.
@@ -153,6 +155,7 @@ impl<const D: usize> Isph<D> {
             change: vec![],
             assembler: Assembler::default(),
             pairs: vec![],
+            wall_force: vec![],
             reorder: ReorderScratch::default(),
             afloat: Afloat::new(params.bodies.clone()),
             answers: vec![],
@@ -370,17 +373,20 @@ impl<const D: usize> Isph<D> {
         match self.method.collisions {
             Some(collisions) => {
                 self.halo.share(particles, |particles| &mut particles.velocity);
-                let Self { support, afloat, pairs, .. } = self;
-                collisions.apply(particles, &support.neighbors, &mut afloat.bodies, pairs)
+                let Self { support, afloat, pairs, wall_force, .. } = self;
+                collisions.apply(particles, &support.neighbors, &mut afloat.bodies, pairs, wall_force)
             }
             None => 0,
         }
     }
 
-    fn hold(&mut self, particles: &mut Particles<D>) -> usize {
-        let Self { support, afloat, params, .. } = self;
-        let hold = |c: Collisions| c.hold(particles, &support.neighbors, &mut afloat.bodies, params.spacing);
+    fn hold(&mut self, particles: &mut Particles<D>, dt: f64) -> usize {
+        let Self { support, afloat, params, wall_force, .. } = self;
+        let hold = |c: Collisions| {
+            c.hold(particles, &support.neighbors, &mut afloat.bodies, params.spacing, wall_force)
+        };
         let rebounds = self.method.collisions.map_or(0, hold);
+        wall_force.iter_mut().for_each(|impulse| *impulse /= dt);
         afloat.bodies.sum_hits(&self.ranks);
         rebounds
     }
@@ -418,6 +424,10 @@ impl<const D: usize> Scheme<D> for Isph<D> {
             self.depart(particles, dt);
             self.survey(particles);
         });
+        if self.method.collisions.is_some() {
+            self.wall_force.clear();
+            self.wall_force.resize(particles.walls().len(), Vector::zeros());
+        }
         watch.time("predict", || self.predict(particles, dt));
         watch.time("assemble", || self.assemble(particles));
         let solved = watch.time("solve", || self.solver.solve(&mut self.assembler.system));
@@ -434,7 +444,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         if solved.is_ok() && self.method.shifting > 0.0 {
             watch.time("shift", || self.shift(particles, dt));
         }
-        watch.time("correct", || report.collisions += self.hold(particles));
+        watch.time("correct", || report.collisions += self.hold(particles, dt));
         self.stages = watch;
         report.solve = Some(solved?);
         self.steps += 1;
@@ -494,7 +504,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
             active: &self.support.active,
             neighbors: &self.support.neighbors,
             walls_carry_pressure: true,
-            wall_force: &[],
+            wall_force: &self.wall_force,
         }
     }
 

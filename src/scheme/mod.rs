@@ -334,8 +334,8 @@ pub struct Fields<'a, const D: usize> {
     pub neighbors: &'a Neighbors<D>,
     /// Whether the pressures of wet walls mean anything; if not, gauges look at the liquid alone.
     pub walls_carry_pressure: bool,
-    /// Force in N with which liquid pushes each wall particle by repulsion, beside any pressure that walls carry; empty in
-    /// schemes without repulsion.
+    /// Force in N with which liquid pushes each wall particle by repulsion or collisions, beside any pressure that walls carry; empty
+    /// where there are neither.
     pub wall_force: &'a [Vector<D>],
 }
 

@@ -32,15 +32,16 @@ pub struct Collisions {
 
 impl Collisions {
     /// Lets all pairs collide once; `position` is where the neighbours were searched. Returns the number of
-    /// collisions. `pairs` is a buffer.
+    /// collisions, and adds to `received` the impulse in N s on each wall particle that cannot move. `pairs` is a buffer.
     pub fn apply<const D: usize>(
         &self,
         particles: &mut Particles<D>,
         neighbors: &Neighbors<D>,
         bodies: &mut Bodies<D>,
         pairs: &mut Vec<(u32, u32)>,
+        received: &mut [Vector<D>],
     ) -> usize {
-        let (fluid, solids) = (particles.fluid(), particles.solids());
+        let (fluid, solids, walls) = (particles.fluid(), particles.solids(), particles.walls().end);
         let square = self.distance * self.distance;
         let (then, position) = (&*particles, &particles.position);
         let close = |a: usize| {
@@ -89,6 +90,8 @@ impl Collisions {
             let b = particles.original(b);
             if b < solids {
                 particles.velocity[a] += impulse;
+                let wall = if b < walls { b } else { particles.tie[b - walls] as usize };
+                received[wall] -= self.mass * impulse;
             } else {
                 particles.velocity[a] += 0.5 * impulse;
                 particles.velocity[b] -= 0.5 * impulse;
@@ -119,13 +122,15 @@ impl Collisions {
         true
     }
 
-    /// Keeps the liquid before the faces of walls, at the end of a step. Returns the number of rebounds.
+    /// Keeps the liquid before the faces of walls, at the end of a step. Returns the number of rebounds; `received` as for
+    /// [`apply`](Self::apply).
     pub fn hold<const D: usize>(
         &self,
         particles: &mut Particles<D>,
         neighbors: &Neighbors<D>,
         bodies: &mut Bodies<D>,
         spacing: f64,
+        received: &mut [Vector<D>],
     ) -> usize {
         let (first, walls) = (particles.solids(), particles.walls().end);
         // Half a cell's diagonal in 3D, rounded up: every place before a flat wall is before one of its particles.
@@ -135,13 +140,13 @@ impl Collisions {
         let mut velocity = std::mem::take(&mut particles.velocity);
         let (solid_position, fluid_position) = position.split_at_mut(first);
         let (solid_velocity, fluid_velocity) = velocity.split_at_mut(first);
-        let (mut rebounds, hits) =
+        let (mut rebounds, hits, pushes) =
             (&mut fluid_position[..owned - first], &mut fluid_velocity[..owned - first])
                 .into_par_iter()
                 .enumerate()
                 .with_min_len(256)
                 .map(|(k, (r, v))| {
-                    let (mut rebounds, mut hits) = (0, vec![]);
+                    let (mut rebounds, mut hits, mut pushes) = (0, vec![], vec![]);
                     let row = neighbors.row(first + k).split().1.index.iter();
                     // Ghosts of walls repeat what their originals do beyond a periodic side: too far away to touch.
                     for w in row.map(|&w| w as usize).filter(|&w| w < walls) {
@@ -155,18 +160,22 @@ impl Collisions {
                         if bodies.free(w).is_some() {
                             hits.push((first + k, w));
                         } else if approach < 0.0 {
-                            *v -= (1.0 + self.restitution) * approach * normal;
+                            let change = (1.0 + self.restitution) * approach * normal;
+                            *v -= change;
+                            pushes.push((w, self.mass * change));
                             rebounds += 1;
                         }
                         *r -= gap * normal;
                     }
-                    (rebounds, hits)
+                    (rebounds, hits, pushes)
                 })
-                .reduce(Default::default, |(m, mut all), (n, hits)| {
+                .reduce(Default::default, |(m, mut all, mut given), (n, hits, pushes)| {
                     all.extend(hits);
-                    (m + n, all)
+                    given.extend(pushes);
+                    (m + n, all, given)
                 });
         (particles.position, particles.velocity) = (position, velocity);
+        pushes.into_iter().for_each(|(w, push)| received[w] += push);
         for (a, w) in hits {
             let (body, normal) = (bodies.free(w), particles.normal[w]);
             let hit = |body| self.strike(particles, bodies, body, a, &normal);
