@@ -273,6 +273,18 @@ fn a_submerged_cylinder_starts_with_its_added_mass() {
     assert!(0.0 < fine && fine < 0.6 * coarse && coarse < 0.15, "{coarse}, {fine}");
 }
 
+/// At 0.02 m the first box, of 100 kg/m3, weighs less than a particle; a negative added mass once threw it at 46 m/s.
+#[test]
+fn a_light_box_goes_with_the_flood() {
+    let folder = folder();
+    done(&folder, "debris --spacing 0.02 --until 0.25 --threads 1 --out out");
+    let table = folder.path().join("out/bodies.csv");
+    let speeds = |name| column(&table, name).into_iter().map(|v| v.parse::<f64>().unwrap().abs());
+    let fastest = speeds("box1_vx_m_per_s").chain(speeds("box1_vy_m_per_s")).fold(0.0, f64::max);
+    let flood = 2.0 * (9.81_f64 * 0.4).sqrt();
+    assert!(fastest > 0.5 && fastest < flood, "{fastest} m/s");
+}
+
 /// The paper's Eq. (5) from what is logged of a sliding box, and the regimes of friction.
 #[test]
 fn the_motion_of_a_box_follows_from_the_logged_forces() {
