@@ -162,11 +162,13 @@ struct Rates<const D: usize> {
     diffusion: f64,
     /// Position divergence over V, in 1/m^D: how much of the support is filled.
     filling: f64,
+    /// Largest force of a wall by repulsion over the distance from it, in 1/s2.
+    stiffness: f64,
 }
 
 impl<const D: usize> Default for Rates<D> {
     fn default() -> Self {
-        Self { acceleration: Vector::zeros(), continuity: 0.0, diffusion: 0.0, filling: 0.0 }
+        Self { acceleration: Vector::zeros(), continuity: 0.0, diffusion: 0.0, filling: 0.0, stiffness: 0.0 }
     }
 }
 
@@ -418,8 +420,12 @@ impl<const D: usize> Wcsph<D> {
                     rates.filling -= if self.wet[b] { f * r_ab.norm_squared() } else { 0.0 };
                     let original = particles.original(b);
                     if original < walls {
-                        rates.acceleration +=
-                            self.method.repulsion.of(&r_ab, particles.flat_normal(original));
+                        let push = self.method.repulsion.of(&r_ab, particles.flat_normal(original));
+                        let work = push.dot(&r_ab);
+                        if work > 0.0 {
+                            rates.stiffness = rates.stiffness.max(push.norm_squared() / work);
+                        }
+                        rates.acceleration += push;
                     }
                 }
                 *surface = surface::weight_at::<D>(self.params.volume() * rates.filling);
@@ -580,7 +586,9 @@ impl<const D: usize> Wcsph<D> {
             *p = state_equation.pressure(*density);
             *crowding = density / self.params.density;
             variation = variation.max((*crowding - 1.0).abs());
-            acceleration = acceleration.max(rates.acceleration.norm_squared());
+            // Near a wall forces change over the distance from it, not over h.
+            let near_wall = self.params.smoothing_length() * rates.stiffness;
+            acceleration = acceleration.max(rates.acceleration.norm_squared()).max(near_wall * near_wall);
         }
         self.halo.share(particles, |particles| &mut particles.pressure);
         self.halo.refresh(particles.originals(), &mut self.crowding);
@@ -594,9 +602,10 @@ impl<const D: usize> Wcsph<D> {
         self.largest_variation = self.ranks.max(variation).max(self.largest_variation);
     }
 
-    /// Bodies in the middle of the step; dummies feel their last accelerations.
+    /// Bodies in the middle of the step. Dummies feel prescribed accelerations only: from the last step's, a body lighter than the
+    /// liquid within a spacing of it would get a force of the wrong sign and more of it, whatever the step.
     fn depart(&mut self, particles: &mut Particles<D>, dt: f64) {
-        self.afloat.depart(&self.params, particles, &mut self.walls, (dt, 0.0), false);
+        self.afloat.depart(&self.params, particles, &mut self.walls, (dt, 0.0), true);
     }
 
     /// The reaction to repulsive walls.
