@@ -11,6 +11,12 @@ pub type Vector<const D: usize> = nalgebra::SVector<f64, D>;
 /// A `D` x `D` matrix.
 pub type Matrix<const D: usize> = nalgebra::SMatrix<f64, D, D>;
 
+/// The axis that a unit vector lies along, if any.
+#[inline]
+pub fn axis_of<const D: usize>(unit: &Vector<D>) -> Option<usize> {
+    unit.iter().position(|n| n.abs() > 1.0 - 1e-9)
+}
+
 /// Position, velocity, pressure and id: all that a fluid particle is.
 pub type Fluid<const D: usize> = (Vector<D>, Vector<D>, f64, u64);
 
@@ -60,9 +66,8 @@ impl<const D: usize> Particles<D> {
     ) -> Self {
         let count = position.len();
         let walls = count - tie.len();
-        let is_flat = |normal: &Vector<D>| normal.iter().any(|n| n.abs() > 1.0 - 1e-9);
         Self {
-            flat: normal[..walls].iter().map(is_flat).collect(),
+            flat: normal[..walls].iter().map(|normal| axis_of(normal).is_some()).collect(),
             velocity: vec![Vector::zeros(); count],
             pressure: vec![0.0; count],
             id: (0..count as u64).collect(),

@@ -5,6 +5,7 @@ use sphpetsc::case::build::{self, Scene};
 use sphpetsc::case::{CaseFile, read};
 use sphpetsc::neighbors::{Layout, Neighbors};
 use sphpetsc::particles::{Particles, Vector};
+use sphpetsc::scheme::Params;
 use sphpetsc::scheme::wcsph::Wcsph;
 use sphpetsc::simulation::{Simulation, StepControl};
 use sphpetsc::terms::collision::Collisions;
@@ -192,6 +193,14 @@ fn a_sliding_box_stops_at_what_stands_in_its_way() {
     }
 }
 
+/// All neighbours, and collisions that reach those at the lattice's distance.
+fn contacts(particles: &Particles<3>, params: &Params<3>) -> (Neighbors<3>, Collisions) {
+    let mut neighbors = Neighbors::default();
+    let (kernel, h, layout) = (params.kernel, params.smoothing_length(), Layout::of(particles));
+    neighbors.search(kernel, h, &particles.position, &layout, |_| f64::NEG_INFINITY);
+    (neighbors, Collisions { distance: 1.2 * params.spacing, restitution: 0.2, mass: params.mass() })
+}
+
 #[test]
 fn collisions_keep_the_momentum_of_liquid_and_body() {
     let drop = ("fluid.block", "[{min = [0.85, 0.5, 0.9], max = [1, 0.6, 1.05], velocity = [2, 0.3, -0.1]}]");
@@ -203,11 +212,7 @@ fn collisions_keep_the_momentum_of_liquid_and_body() {
         let sets = [drop, ("body.mass", mass), ("body.locked", locked)];
         let Scene { mut particles, params, .. } = build::scene::<3>(&case(&text, &sets));
         let mut bodies = params.bodies.clone();
-        let mut neighbors = Neighbors::default();
-        let layout = Layout::of(&particles);
-        let (kernel, h) = (params.kernel, params.smoothing_length());
-        neighbors.search(kernel, h, &particles.position, &layout, |_| f64::NEG_INFINITY);
-        let collisions = Collisions { distance: 1.2 * params.spacing, restitution: 0.2, mass: params.mass() };
+        let (neighbors, collisions) = contacts(&particles, &params);
         let totals = |particles: &Particles<3>, bodies: &Bodies<3>| {
             let Body { mass, state, .. } = &bodies.list[0];
             let of = |a: usize| {
@@ -243,11 +248,7 @@ fn walls_receive_what_collisions_take_from_the_liquid() {
     let text = with(DRY, "min = [1, 0.4, 0.8]\nmax = [1.2, 0.6, 1.1]\nmotion = \"free\"\nmass = 10");
     let Scene { mut particles, params, .. } = build::scene::<3>(&case(&text, &[drop]));
     let mut bodies = params.bodies.clone();
-    let mut neighbors = Neighbors::default();
-    let layout = Layout::of(&particles);
-    let (kernel, h) = (params.kernel, params.smoothing_length());
-    neighbors.search(kernel, h, &particles.position, &layout, |_| f64::NEG_INFINITY);
-    let collisions = Collisions { distance: 1.2 * params.spacing, restitution: 0.2, mass: params.mass() };
+    let (neighbors, collisions) = contacts(&particles, &params);
     let momentum = |particles: &Particles<3>| -> Vector<3> {
         particles.fluid().map(|a| params.mass() * particles.velocity[a]).sum()
     };

@@ -15,7 +15,7 @@
 //! particle is taken at its word.
 
 use crate::operators::{Moments, Surroundings};
-use crate::particles::{Matrix, Particles, Vector};
+use crate::particles::{Matrix, Particles, Vector, axis_of};
 
 /// Least share of the full support that the moments of a wall's row may amount to along an axis; a lattice has 0.27 across and 0.35
 /// along a flat wall. With less, a slope is not to be had from the few neighbours: it is taken to be as much smaller.
@@ -24,11 +24,6 @@ const LEAST_MOMENT: f64 = 0.1;
 /// Distance to a face in spacings that liquid is taken to keep at least: half that of the lattice. Nearer, and behind the face, the
 /// slope v / distance would grow without bound.
 const NEAREST: f64 = 0.25;
-
-/// Axis of the normal, where a wall is flat.
-fn flat_axis<const D: usize>(normal: &Vector<D>) -> Option<usize> {
-    normal.iter().position(|n| n.abs() > 1.0 - 1e-9)
-}
 
 /// tr M / D div v in 1/s at liquid or wall particle `a`, for velocities in m/s of all particles and `spacing` in m: of a quadratic
 /// field the Laplacian of the row of `a` makes the share tr M / D, M being the moments over those neighbours that it links to, and
@@ -41,7 +36,7 @@ pub fn divergence<const D: usize>(
     moments: &Moments<D>,
     spacing: f64,
 ) -> f64 {
-    let axis = if a < particles.solids() { flat_axis(&particles.normal[a]) } else { None };
+    let axis = if a < particles.solids() { axis_of(&particles.normal[a]) } else { None };
     if let Some(axis) = axis {
         return at_wall(surroundings, particles, a, velocity, axis);
     }
@@ -65,7 +60,7 @@ fn beside_wall<const D: usize>(
     for (b, r_ab, vf) in surroundings.active(a) {
         let v_ba = velocity[b] - velocity[a];
         let b = particles.original(b);
-        let flat = if b < particles.solids() { flat_axis(&particles.normal[b]) } else { None };
+        let flat = if b < particles.solids() { axis_of(&particles.normal[b]) } else { None };
         let Some(i) = flat else {
             slopes += (vf * v_ba) * r_ab.transpose();
             matrix -= (vf * r_ab) * r_ab.transpose();

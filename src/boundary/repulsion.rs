@@ -18,7 +18,7 @@
 //! **Turned bodies.** (1) does not know their lattice, so max(0, 1 - |t| / dx) takes the place of the product: the same in 2D, between 1
 //! and 1.17 in all in 3D. Central forces, weakest half way between two particles, let liquid that a box presses on slip into it.
 
-use crate::particles::Vector;
+use crate::particles::{Vector, axis_of};
 
 /// The force of one wall particle.
 #[derive(Debug, Clone, Copy)]
@@ -50,7 +50,7 @@ impl Repulsion {
         }
         let aside = r_ab - y * direction;
         let near = |t: f64| (1.0 - t.abs() / self.spacing).max(0.0);
-        let share = match direction.iter().any(|n| n.abs() > 1.0 - 1e-9) {
+        let share = match axis_of(&direction).is_some() {
             true => aside.iter().map(|t| near(*t)).product(),
             false => near(aside.norm()),
         };

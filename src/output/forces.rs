@@ -10,8 +10,8 @@
 //! buoyancy. Dry wall particles add nothing, and friction is left out.
 //!
 //! Schemes whose walls also repel the liquid, or do only that, report the reaction on each wall particle, and it is added; so are
-//! the impulses of particles that collide with walls, over the step. A particle in a corner of the tank belongs to several sides, to each with the component along
-//! that side's normal.
+//! the impulses of particles that collide with walls, over the step. A particle in a corner of the tank belongs to several sides, to
+//! each with the component along that side's normal.
 
 use crate::case::{CaseFile, Probe, Side, build::side_of};
 use crate::geometry::{Lattice, WallCell};

@@ -594,8 +594,9 @@ impl<const D: usize> Wcsph<D> {
         self.halo.refresh(particles.originals(), &mut self.crowding);
         // A light body answers to the push of one particle with a multiple of that particle's acceleration.
         if !self.afloat.bodies.is_empty() {
-            self.afloat.accelerate(&self.params, particles, false, &mut self.walls);
-            let solids = self.afloat.accelerations.iter().map(|a| a.norm_squared());
+            let Afloat { bodies, accelerations, .. } = &mut self.afloat;
+            bodies.accelerations(particles, false, accelerations);
+            let solids = accelerations.iter().map(|a| a.norm_squared());
             acceleration = solids.fold(acceleration, f64::max);
         }
         self.acceleration = self.ranks.max(acceleration.sqrt());
