@@ -59,6 +59,7 @@ pub mod exact;
 pub mod form;
 pub mod geometry;
 pub mod halo;
+pub mod invariants;
 pub mod kernel;
 pub mod lab;
 pub mod memory;

@@ -7,9 +7,9 @@ use serde_json::{Value, json};
 
 use crate::case::{Arrival, CaseFile, SchemeKind};
 use crate::exact::ErrorMeasure;
+use crate::invariants::Invariants;
 use crate::memory;
 use crate::output::comparison::{ArrivalTime, Comparison, SeriesError};
-use crate::output::observers::Energy;
 use crate::particles::Particles;
 use crate::scheme::{Compressibility, Scheme};
 use crate::simulation::Totals;
@@ -28,8 +28,8 @@ pub struct Report<'a, const D: usize> {
     pub step: u64,
     /// Counts over the run.
     pub totals: Totals,
-    /// Energies of the run.
-    pub energy: Energy,
+    /// What the flow should have kept.
+    pub invariants: Invariants<D>,
     /// Errors against references.
     pub comparison: Comparison,
     /// Errors against the exact solution.
@@ -88,10 +88,18 @@ impl<const D: usize> Report<'_, D> {
             "solver": solver,
             "compressibility": compressibility,
             "energy": {
-                "initial_j": self.energy.initial, "largest_rise_of_initial": self.rise(),
+                "initial_j": self.invariants.energy.initial, "largest_rise_of_initial": self.rise(),
+                "work_done_j": self.invariants.energy.input,
+            },
+            "invariants": {
+                "volume_change_percent": 100.0 * self.invariants.volume,
+                "largest_density_error_percent": 100.0 * self.invariants.density,
+                "divergence_percent": 100.0 * self.invariants.divergence,
+                "momentum_percent": 100.0 * self.invariants.momentum,
             },
             "clipped_pressures": t.clipped,
             "collisions": t.collisions,
+            "retried_steps": t.retries,
             "errors": self.errors,
             "references": series.collect::<Vec<_>>(),
             "references_not_given": missing.collect::<Vec<_>>(),
@@ -104,7 +112,7 @@ impl<const D: usize> Report<'_, D> {
     }
 
     fn rise(&self) -> f64 {
-        self.energy.largest_rise / self.energy.initial.abs()
+        self.invariants.energy.largest_rise / self.invariants.energy.initial.abs()
     }
 
     fn used(&self) -> String {
@@ -155,8 +163,21 @@ impl<const D: usize> fmt::Display for Report<'_, D> {
             )?,
         }
         line("energy", format!("largest rise {:.4} % of the initial", 100.0 * self.rise()))?;
+        let i = &self.invariants;
+        line(
+            "strayed",
+            format!(
+                "volume {:+.2} %, density up to {:.1} %, divergence {:.2} % of speed over spacing",
+                100.0 * i.volume,
+                100.0 * i.density,
+                100.0 * i.divergence
+            ),
+        )?;
         if t.clipped + t.collisions > 0 {
             line("splash", format!("{} pressures clipped, {} collisions", t.clipped, t.collisions))?;
+        }
+        if t.retries > 0 {
+            line("retries", format!("{} steps done again, half as long", t.retries))?;
         }
         let stages =
             self.scheme.stages().iter().map(|(name, spent)| format!("{name} {:.2}", spent.as_secs_f64()));

@@ -24,7 +24,9 @@ use crate::report::Report;
 use crate::scheme::isph::Isph;
 use crate::scheme::wcsph::Wcsph;
 use crate::scheme::{Scheme, StepReport, logged};
+
 use crate::simulation::{Observer, Simulation, StepControl};
+use crate::terms::implicit_viscosity::VelocitySolve;
 use crate::{Error, Result, patch_test};
 
 /// Runs a case on `ranks`; all of them call this with the same arguments.
@@ -80,6 +82,8 @@ struct Run<'a, const D: usize> {
     folder: PathBuf,
     systems: Systems,
     stop: Arc<AtomicBool>,
+    /// A checkpoint was asked for.
+    wanted: Arc<AtomicBool>,
     next_checkpoint: f64,
     /// Whether the pressure of the first state could be found; if not, that is a failure of the run.
     started: Result<()>,
@@ -119,7 +123,7 @@ impl<'a, const D: usize> Run<'a, D> {
         let (scheme, described) = ranks.agree(scheme(args, case, &scene))?;
         let Scene { particles, params, enclosure, snapped, .. } = &scene;
         let control =
-            StepControl { fixed: case.time.step, largest: case.time.step_max.unwrap_or(f64::INFINITY) };
+            StepControl { fixed: case.time.step, largest: case.time.step_max.unwrap_or(case.time.until) };
         let mut simulation = Simulation::new(
             particles.clone(),
             scheme,
@@ -158,7 +162,8 @@ impl<'a, const D: usize> Run<'a, D> {
         let folder = PathBuf::from(ranks.same_text(path.to_string_lossy().into_owned()));
         let mut run = Self {
             systems: Systems::new(folder.join("systems"), &args.save_systems, since),
-            stop: Arc::new(AtomicBool::new(false)),
+            stop: Arc::default(),
+            wanted: Arc::default(),
             next_checkpoint: case.output.checkpoint * (simulation.time / case.output.checkpoint).floor()
                 + case.output.checkpoint,
             started,
@@ -171,6 +176,10 @@ impl<'a, const D: usize> Run<'a, D> {
         let stop = run.stop.clone();
         // A second handler in one process is a test harness's business; the first one serves.
         let _ = ctrlc::set_handler(move || stop.store(true, Ordering::Relaxed));
+        #[cfg(unix)]
+        if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGUSR1, run.wanted.clone()) {
+            log::warn!("SIGUSR1 will not save a checkpoint: {error}");
+        }
         if since.is_none() {
             run.show(Output::first_rows)?;
         }
@@ -197,7 +206,12 @@ impl<'a, const D: usize> Run<'a, D> {
             self.save_failing_state()?;
         }
         let failure = outcome.as_ref().err().map(ToString::to_string);
-        self.show(|output, whole| output.report(whole, failure))
+        let reported = self.show(|output, whole| output.report(whole, failure));
+        // What cannot be read now is this run's own.
+        reported.map_err(|error| match error {
+            Error::Input(what) => Error::Run(what),
+            other => other,
+        })
     }
 
     fn time_loop(&mut self) -> Result<()> {
@@ -208,7 +222,21 @@ impl<'a, const D: usize> Run<'a, D> {
                 self.next_checkpoint += self.case.output.checkpoint;
                 self.save()?;
             }
-            if self.ranks.any(self.stop.load(Ordering::Relaxed)) {
+            // One look for both: all ranks must agree on it.
+            let stops = self.stop.load(Ordering::Relaxed);
+            let asked = self.ranks.max(match self.wanted.swap(false, Ordering::Relaxed) {
+                _ if stops => 2.0,
+                wanted => f64::from(u8::from(wanted)),
+            });
+            if asked == 1.0 {
+                self.save()?;
+                log::info!(
+                    "checkpoint saved at t = {:.6} s, step {}",
+                    self.simulation.time,
+                    self.simulation.step
+                );
+            }
+            if asked == 2.0 {
                 return Err(Error::Interrupted(format!(
                     "interrupted at t = {:.6} s: the state is saved; go on with --resume {}",
                     self.simulation.time,
@@ -226,9 +254,8 @@ impl<'a, const D: usize> Run<'a, D> {
     fn observe(&mut self, report: &StepReport) -> Result<()> {
         self.ranks.agree(self.systems.save_due(&self.simulation))?;
         let simulation = &self.simulation;
-        let energy = simulation.energy();
         let particles = self.ranks.sum(simulation.particles.fluid().len() as f64) as usize;
-        let noted = self.output.as_mut().map(|output| output.note(simulation, report, energy, particles));
+        let noted = self.output.as_mut().map(|output| output.note(simulation, report, particles));
         self.ranks.agree(noted.unwrap_or(Ok(())))?;
         let is_due = self.output.as_ref().is_some_and(|output| output.is_due(simulation.time));
         if self.ranks.any(is_due) {
@@ -271,10 +298,9 @@ impl<'a, const D: usize> Output<'a, D> {
         solver: String,
     ) -> Result<Self> {
         let params = &scene.params;
-        let mut history = History::new(&folder, case, params, since)?;
+        let history = History::new(&folder, case, params, since)?;
         let mut probes = Probes::new(&folder, case, scene, since)?;
         if let Some(state) = saved {
-            history.restore(state)?;
             probes.restore(state)?;
         }
         let exact = exact::of_case(case, params)
@@ -305,7 +331,7 @@ impl<'a, const D: usize> Output<'a, D> {
 
     /// The initial state.
     fn first_rows(&mut self, simulation: &Simulation<D>) -> Result<()> {
-        self.history.start(simulation)?;
+        self.history.sample(simulation)?;
         if let Some(exact) = &mut self.exact {
             exact.sample(simulation)?;
         }
@@ -319,14 +345,7 @@ impl<'a, const D: usize> Output<'a, D> {
     }
 
     /// What a step leaves that needs no particles.
-    fn note(
-        &mut self,
-        simulation: &Simulation<D>,
-        report: &StepReport,
-        energy: f64,
-        particles: usize,
-    ) -> Result<()> {
-        self.history.watch_energy(energy);
+    fn note(&mut self, simulation: &Simulation<D>, report: &StepReport, particles: usize) -> Result<()> {
         self.progress.update(&Status {
             time: simulation.time,
             step: simulation.step,
@@ -374,7 +393,6 @@ impl<'a, const D: usize> Output<'a, D> {
         self.profiles.as_mut().map_or(Ok(()), Profiles::flush)?;
         let mut writer = checkpoint::Writer::new();
         restart::save(simulation, &mut writer);
-        self.history.save(&mut writer);
         self.probes.save(&mut writer);
         writer.u64("scene", &[scene_number(self.case)]);
         writer.save(&self.folder.join("checkpoint"), simulation.step).map(|_| ())
@@ -397,7 +415,7 @@ impl<'a, const D: usize> Output<'a, D> {
             time: simulation.time,
             step: simulation.step,
             totals: simulation.totals,
-            energy: self.history.energy(),
+            invariants: simulation.invariants,
             comparison,
             errors,
             solver: &self.solver,
@@ -426,9 +444,9 @@ fn scheme<const D: usize>(
         let described = method.describe();
         return Ok((Box::new(Wcsph::new(params.clone(), method, particles)), described));
     }
-    let solver = pressure_solver(args, particles.fluid().len(), params.ranks)?;
-    let described = solver.describe();
-    Ok((Box::new(Isph::new(params.clone(), build::isph(case), particles, solver)), described))
+    let solvers = solvers(args, particles.fluid().len(), params.ranks)?;
+    let described = solvers.0.describe();
+    Ok((Box::new(Isph::new(params.clone(), build::isph(case), particles, solvers)), described))
 }
 
 /// Whether the scheme solves no pressure system; options for one are then errors.
@@ -446,9 +464,13 @@ fn is_explicit(args: &RunArgs, case: &CaseFile) -> Result<bool> {
     }
 }
 
+/// What ISPH solves its systems with.
+type Solvers = (Box<dyn PressureSolve>, Box<dyn VelocitySolve>);
+
 #[cfg(feature = "petsc")]
-fn pressure_solver(args: &RunArgs, size: usize, ranks: Ranks) -> Result<Box<dyn PressureSolve>> {
+fn solvers(args: &RunArgs, size: usize, ranks: Ranks) -> Result<Solvers> {
     use crate::ppe::{recorder::Recorder, solve::PressureSolver};
+    use crate::terms::implicit_viscosity::VelocitySolver;
 
     let session = crate::petsc::Session::start(&args.common.petsc)?;
     if session.size() != ranks.count() {
@@ -458,16 +480,17 @@ fn pressure_solver(args: &RunArgs, size: usize, ranks: Ranks) -> Result<Box<dyn 
         // The first rank speaks for all: an empty message prints nothing.
         return Err(Error::Input(if session.rank() == 0 { sentence } else { String::new() }));
     }
+    let velocities = Box::new(VelocitySolver::new(session.clone()));
     let solver = Box::new(PressureSolver::new(session, size)?);
     match args.save_systems.is_empty() {
-        true => Ok(solver),
+        true => Ok((solver, velocities)),
         // A saved system is whole: every matrix, and the guess from before the solution.
-        false => Ok(Box::new(Recorder::new(solver))),
+        false => Ok((Box::new(Recorder::new(solver)), velocities)),
     }
 }
 
 #[cfg(not(feature = "petsc"))]
-fn pressure_solver(_: &RunArgs, _: usize, _: Ranks) -> Result<Box<dyn PressureSolve>> {
+fn solvers(_: &RunArgs, _: usize, _: Ranks) -> Result<Solvers> {
     let advice = "choose --scheme wcsph or build with the feature petsc (the default)";
     Err(Error::Input(format!(
         "this build leaves PETSc out, and the schemes isph_df and isph_di need it: {advice}"
@@ -512,7 +535,7 @@ fn resume_from(args: &RunArgs, case: &CaseFile) -> Result<Option<(RunFolder, che
             path.display()
         )));
     }
-    Ok(Some((RunFolder::open(&path)?, state)))
+    Ok(Some((RunFolder::resume(&path)?, state)))
 }
 
 /// What a summary says of a run that reached its end.
@@ -616,7 +639,7 @@ fn petsc_version() -> String {
 /// The pressure solver a run would use, where this build has any.
 fn solver_in_force(args: &RunArgs, case: &CaseFile, size: usize) -> Result<Option<String>> {
     let solves = cfg!(feature = "petsc") && case.scheme.kind.solves();
-    solves.then(|| pressure_solver(args, size, Ranks::default()).map(|solver| solver.describe())).transpose()
+    solves.then(|| solvers(args, size, Ranks::default()).map(|solvers| solvers.0.describe())).transpose()
 }
 
 /// What `check` prints: counts, lengths, limits, and what a run would take.
@@ -654,7 +677,7 @@ fn derived<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<String> {
         Some(method) => method.dt_limit(params, speed, 0.0),
         None => build::isph(case).dt_limit(params, speed, 0.0),
     };
-    let dt = case.time.step.unwrap_or(limit.min(case.time.step_max.unwrap_or(f64::INFINITY)));
+    let dt = case.time.step.unwrap_or(limit.min(case.time.step_max.unwrap_or(case.time.until)));
     let steps = (case.time.until / dt).ceil();
     line(
         "time step",

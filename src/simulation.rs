@@ -3,6 +3,7 @@
 //! The loop knows no file formats: an [`Observer`] looks at the simulation after each step.
 
 use crate::geometry::{Aabb, Enclosure};
+use crate::invariants::{Deed, Invariants};
 use crate::motion::Motion;
 use crate::parallel::Ranks;
 use crate::particles::{Particles, Vector};
@@ -24,6 +25,8 @@ pub struct Simulation<const D: usize> {
     pub dt: f64,
     /// Totals since the start.
     pub totals: Totals,
+    /// What the flow should have kept.
+    pub invariants: Invariants<D>,
     /// Body force per mass in m/s2 that the liquid felt in the last step: gravity, minus the acceleration of the tank.
     pub body_force: Vector<D>,
     motion: Option<Motion<D>>,
@@ -34,8 +37,19 @@ pub struct Simulation<const D: usize> {
     speed_limit: f64,
     margin: f64,
     ranks: Ranks,
-    before: (Vec<Vector<D>>, Vec<Vector<D>>, Vec<f64>, Vec<u64>),
-    bodies_before: Vec<f64>,
+    before: State<D>,
+    /// Share of the stable step that is taken: less than 1 after steps that went wrong.
+    pub caution: f64,
+    /// Whether a fixed step has been found too long already.
+    warned_of_step: bool,
+}
+
+/// What a step starts from: position, velocity, pressure and id of each particle, and what scheme and bodies keep.
+#[derive(Default)]
+struct State<const D: usize> {
+    particles: (Vec<Vector<D>>, Vec<Vector<D>>, Vec<f64>, Vec<u64>),
+    scheme: Vec<f64>,
+    bodies: Vec<f64>,
 }
 
 /// How the time step is chosen.
@@ -64,6 +78,8 @@ pub struct Totals {
     pub most_iterations: u64,
     /// Solves that needed a fallback.
     pub fallbacks: u64,
+    /// Steps that went wrong and were done again, shorter.
+    pub retries: u64,
 }
 
 /// Looks at a simulation after each step.
@@ -79,6 +95,15 @@ pub trait Observer<const D: usize> {
 const GROWTH: f64 = 1.1;
 /// The first step as a share of the stable one: the pressure starts from a guess.
 const FIRST: f64 = 0.1;
+/// How often an adaptive step that went wrong is done again, each time half as long: down to a thirtieth, which makes up for a
+/// Courant number ten times too large three times over. With half as many attempts that one is only just made up for; twice as
+/// many put off the end of a run that no step saves.
+const RETRIES: u64 = 5;
+/// Growth of the caution after a step that went well: what made a step go wrong is likely to come back. Half and twice the exponent
+/// forget within 700 and 170 steps what halved a step.
+const RELIEF: f64 = 1.002;
+/// Least share of the stable step.
+const LEAST_CAUTION: f64 = 1.0 / 32.0;
 /// A speed this many times that of a fall through the whole scene is a run out of control.
 const RUNAWAY: f64 = 20.0;
 
@@ -111,6 +136,7 @@ impl<const D: usize> Simulation<D> {
             time: 0.0,
             step: 0,
             totals: Totals::default(),
+            invariants: Invariants::default(),
             body_force: gravity,
             motion: None,
             control,
@@ -118,10 +144,13 @@ impl<const D: usize> Simulation<D> {
             gravity,
             speed_limit: RUNAWAY * (speed + fall),
             margin: support,
-            before: Default::default(),
-            bodies_before: vec![],
+            before: State::default(),
+            caution: 1.0,
+            warned_of_step: false,
         };
         simulation.share_out();
+        simulation.invariants =
+            Invariants::at_start(&simulation.particles, simulation.scheme.params(), &gravity);
         simulation.dt = FIRST * simulation.stable_dt();
         simulation
     }
@@ -137,14 +166,6 @@ impl<const D: usize> Simulation<D> {
         if !self.ranks.is_first() {
             self.totals = Totals { clipped: 0, collisions: 0, left: 0, through_walls: 0, ..self.totals };
         }
-    }
-
-    /// Kinetic and potential energy of all liquid in J, the latter zero at the origin; without the motion of the tank.
-    pub fn energy(&self) -> f64 {
-        let (fluid, mass) = (self.particles.fluid(), self.scheme.params().mass());
-        let squares: f64 = self.particles.velocity[fluid.clone()].iter().map(|v| v.norm_squared()).sum();
-        let positions: Vector<D> = self.particles.position[fluid].iter().sum();
-        self.ranks.sum(0.5 * mass * squares - mass * self.gravity.dot(&positions))
     }
 
     /// Lets the first rank look at the whole scene; a failure there is one of all ranks.
@@ -169,8 +190,7 @@ impl<const D: usize> Simulation<D> {
             totals: Totals { clipped, collisions, left, through_walls, ..self.totals },
             motion: self.motion.clone(),
             enclosure: self.enclosure.clone(),
-            before: Default::default(),
-            bodies_before: vec![],
+            before: State::default(),
             ranks: Ranks::default(),
             ..*self
         })
@@ -209,58 +229,125 @@ impl<const D: usize> Simulation<D> {
     pub fn next_dt(&self) -> f64 {
         match self.control.fixed {
             Some(dt) => dt,
-            None => self.stable_dt().min(GROWTH * self.dt),
+            None => (self.caution * self.stable_dt()).min(GROWTH * self.dt),
         }
     }
 
-    /// Advances by one step. After an error the particles are those of the last good state, and
-    /// [`swap_states`](Self::swap_states) brings up the failing one.
+    /// Advances by one step. An adaptive step that goes wrong is done again, half as long, from where it began. After an error
+    /// the particles are those of the last good state, and [`swap_states`](Self::swap_states) brings up the failing one.
     pub fn advance(&mut self) -> Result<StepReport> {
         // Here and not after the last step, so that observers find the particles as the step saw them.
         self.remove_leavers();
-        let dt = self.next_dt();
+        let mut dt = self.next_dt();
+        self.warn_of_long_step(dt);
         self.remember();
-        let end = self.time + dt;
-        // The middle, told from the end: so a resumed run finds the same number.
-        self.feel(end - 0.5 * dt);
-        let outcome = self.scheme.step(&mut self.particles, dt).and_then(|report| {
-            self.watch(dt)?;
-            Ok(report)
-        });
-        let outcome = outcome.map_err(|error| self.located(error, dt));
-        let report = self.ranks.agree(outcome).inspect_err(|_| self.swap_states())?;
-        self.time = end;
+        let mut retries = 0;
+        let (report, invariants) = loop {
+            let wrong = match self.attempt(dt) {
+                Ok((report, invariants)) => match self.flaw(&invariants) {
+                    Some(flaw) if retries < RETRIES => Error::Run(flaw.into()),
+                    _ => break (report, invariants),
+                },
+                Err(error) => error,
+            };
+            self.swap_states();
+            let may_help = self.control.fixed.is_none() && matches!(wrong, Error::Run(_) | Error::Petsc(_));
+            if !may_help || retries == RETRIES {
+                return Err(self.located(wrong, dt));
+            }
+            log::debug!("{}: again, half as long", self.located(wrong, dt));
+            (dt, retries) = (0.5 * dt, retries + 1);
+        };
+        self.caution = match retries {
+            0 => (RELIEF * self.caution).min(1.0),
+            _ => (self.caution * 0.5_f64.powi(retries as i32)).max(LEAST_CAUTION),
+        };
+        self.invariants = invariants;
+        self.time += dt;
         self.step += 1;
         self.dt = dt;
+        self.totals.retries += retries;
         self.count(&report);
         Ok(report)
     }
 
+    /// One step of `dt` s, whatever becomes of it, and the invariants after it.
+    fn attempt(&mut self, dt: f64) -> Result<(StepReport, Invariants<D>)> {
+        // The middle, told from the end: so a resumed run finds the same number.
+        self.feel(self.time + dt - 0.5 * dt);
+        let outcome = self.scheme.step(&mut self.particles, dt).and_then(|report| {
+            self.watch(dt)?;
+            Ok(report)
+        });
+        let report = self.ranks.agree(outcome)?;
+        let deed = Deed { dt, gravity: self.gravity, body_force: self.body_force };
+        let mut invariants = self.invariants;
+        invariants.watch(self.step + 1, &self.particles, self.scheme.as_ref(), &deed)?;
+        Ok((report, invariants))
+    }
+
+    /// What an adaptive step should be done again for.
+    fn flaw(&self, invariants: &Invariants<D>) -> Option<&'static str> {
+        let is_lost = |a: usize| matches!(self.fate(&self.particles.position[a]), Fate::ThroughWall(_));
+        match () {
+            () if self.control.fixed.is_some() => None,
+            () if invariants.jumped_from(&self.invariants) => {
+                Some("the liquid gained energy that nothing gave it")
+            }
+            () if self.ranks.any(self.particles.fluid().any(is_lost)) => {
+                Some("a particle went through a wall")
+            }
+            () => None,
+        }
+    }
+
+    /// Says once that a fixed step is longer than a stable one.
+    fn warn_of_long_step(&mut self, dt: f64) {
+        if self.control.fixed.is_none() || self.warned_of_step {
+            return;
+        }
+        let stable = self.stable_dt();
+        if dt > (1.0 + 1e-9) * stable && self.step > 0 {
+            self.warned_of_step = true;
+            log::warn!(
+                "step {} at t = {:.6} s: the fixed step of {dt:.3e} s is {:.1} times the longest stable one, {stable:.3e} s: \
+                 leave time.step out to have it chosen, or make it smaller",
+                self.step + 1,
+                self.time,
+                dt / stable
+            );
+        }
+    }
+
     fn remember(&mut self) {
         self.particles.drop_ghosts();
-        let (position, velocity, pressure, id) = &mut self.before;
+        let (position, velocity, pressure, id) = &mut self.before.particles;
         position.clone_from(&self.particles.position);
         velocity.clone_from(&self.particles.velocity);
         pressure.clone_from(&self.particles.pressure);
         id.clone_from(&self.particles.id);
+        self.before.scheme = self.scheme.state();
         if self.scheme.bodies().can_move() {
-            self.bodies_before = self.scheme.bodies().state();
+            self.before.bodies = self.scheme.bodies().state();
         }
     }
 
     /// Exchanges the present state with the one before the last step.
     pub fn swap_states(&mut self) {
         self.particles.drop_ghosts();
-        let (position, velocity, pressure, id) = &mut self.before;
+        let (position, velocity, pressure, id) = &mut self.before.particles;
         std::mem::swap(position, &mut self.particles.position);
         std::mem::swap(velocity, &mut self.particles.velocity);
         std::mem::swap(pressure, &mut self.particles.pressure);
         std::mem::swap(id, &mut self.particles.id);
+        // What came from the scheme and its bodies fits them.
+        let present = self.scheme.state();
+        let _ = self.scheme.set_state(&self.before.scheme);
+        self.before.scheme = present;
         if self.scheme.bodies().can_move() {
             let present = self.scheme.bodies().state();
-            // What came from the bodies fits them.
-            let _ = self.scheme.bodies_mut().set_state(&self.bodies_before);
-            self.bodies_before = present;
+            let _ = self.scheme.bodies_mut().set_state(&self.before.bodies);
+            self.before.bodies = present;
         }
     }
 
@@ -305,20 +392,21 @@ impl<const D: usize> Simulation<D> {
 
     /// Takes out particles that went over an open side for good, and any that got behind a wall.
     fn remove_leavers(&mut self) {
-        let (enclosure, margin, gravity) = (&self.enclosure, self.margin, self.gravity);
-        let bodies = self.scheme.bodies();
-        let fate = |r: &Vector<D>| match Fate::of(r, enclosure, &gravity, margin) {
-            Fate::Stays if bodies.contain(r) => Fate::ThroughWall("body's"),
-            fate => fate,
-        };
         let particles = &self.particles;
-        let gone: Vec<usize> =
-            particles.fluid().filter(|&a| fate(&particles.position[a]) != Fate::Stays).collect();
-        if gone.is_empty() {
+        let fates: Vec<(usize, Fate)> = particles
+            .fluid()
+            .map(|a| (a, self.fate(&particles.position[a])))
+            .filter(|(_, fate)| *fate != Fate::Stays)
+            .collect();
+        if fates.is_empty() {
             return;
         }
-        for a in gone {
-            match fate(&particles.position[a]) {
+        let mut stays = vec![true; particles.len()];
+        for (a, fate) in fates {
+            stays[a] = false;
+            let (r, v) = (&self.particles.position[a], &self.particles.velocity[a]);
+            self.invariants.let_go(r, v, self.scheme.params().mass(), &self.gravity);
+            match fate {
                 Fate::ThroughWall(wall) => {
                     self.totals.through_walls += 1;
                     log::warn!(
@@ -331,8 +419,14 @@ impl<const D: usize> Simulation<D> {
                 _ => self.totals.left += 1,
             }
         }
-        let position = self.particles.position.clone();
-        self.particles.retain_fluid(|a| fate(&position[a]) == Fate::Stays);
+        self.particles.retain_fluid(|a| stays[a]);
+    }
+
+    fn fate(&self, r: &Vector<D>) -> Fate {
+        match Fate::of(r, &self.enclosure, &self.gravity, self.margin) {
+            Fate::Stays if self.scheme.bodies().contain(r) => Fate::ThroughWall("body's"),
+            fate => fate,
+        }
     }
 }
 

@@ -6,6 +6,8 @@ mod common;
 mod bodies;
 mod cli;
 mod exact;
+mod faults;
+mod fuzz;
 mod lab;
 mod mpi;
 mod operators;

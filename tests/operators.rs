@@ -212,7 +212,7 @@ fn still_water<const D: usize>() {
     let source: Vec<_> = (0..water.particles.len())
         .map(|a| {
             let divergence = around.divergence(a, &predicted, &water.moments[a]);
-            Source::Blended { gamma: 0.0 }.of(divergence, 0.0, water.surface[a] > 0.5, dt)
+            Source::Blended { gamma: 0.0, tau: 0.0 }.of(divergence, 0.0, water.surface[a] > 0.5, dt)
         })
         .collect();
     let mut assembler = Assembler::default();

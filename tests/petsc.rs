@@ -443,6 +443,99 @@ fn closed_in_child() {
     println!("closed box solved {record:?}");
 }
 
+/// A matrix from the entries, (column, value), of its rows.
+fn rows_of(lists: Vec<Vec<(usize, f64)>>) -> Rows {
+    let mut rows = Rows { start: vec![0], ..Rows::default() };
+    for mut list in lists {
+        list.sort_by_key(|(column, _)| *column);
+        rows.column.extend(list.iter().map(|(column, _)| *column as Index));
+        rows.value.extend(list.iter().map(|(_, value)| value));
+        rows.start.push(rows.column.len() as Index);
+    }
+    rows
+}
+
+/// Systems as the worst scenes of the stability suite make them.
+fn worst() -> Vec<(&'static str, PressureSystem)> {
+    let system = |full: Rows, symmetric: Rows| {
+        let n = full.len();
+        let exact: Vec<f64> = (0..n).map(|i| (i as f64 * 6.0 / n as f64).sin() + 0.3 * noise(i, 7)).collect();
+        let (sparse, rhs) = (symmetric.clone(), multiply(&full, &exact));
+        PressureSystem { full, symmetric, sparse, rhs, pressure: vec![0.0; n], ..PressureSystem::default() }
+    };
+    // A film one particle deep, with a surface at one end alone: its condition number is the square of its length.
+    let n = 2000_usize;
+    let film = rows_of(
+        (0..n)
+            .map(|i| {
+                let near = [i.checked_sub(1), (i + 1 < n).then_some(i + 1)];
+                let mut row: Vec<_> = near.into_iter().flatten().map(|j| (j, -1.0)).collect();
+                row.push((i, row.len() as f64 + if i == 0 { 1.0 } else { 0.0 }));
+                row
+            })
+            .collect(),
+    );
+    // A pocket that a thread a hundred millionth as strong ties to the rest.
+    let open = Lattice { cells: [20, 20, 1], ..PLANE };
+    let (rest, pocket) = (open.rows(), Lattice { surface: false, ..open }.rows());
+    let count = rest.len();
+    let mut lists: Vec<Vec<(usize, f64)>> = (0..count).map(|k| rest.row(k).collect()).collect();
+    lists.extend((0..count).map(|k| pocket.row(k).map(|(c, v)| (count + c, v)).collect::<Vec<_>>()));
+    for (a, b) in [(count - 1, count), (count, count - 1)] {
+        lists[a].push((b, -1e-8));
+        lists[a].iter_mut().filter(|(c, _)| *c == a).for_each(|(_, v)| *v += 1e-8);
+    }
+    let pocket = rows_of(lists);
+    // Rows in other units: eight orders of magnitude between neighbours.
+    let plain = open.rows();
+    let mut scaled = plain.clone();
+    for k in 0..plain.len() {
+        let factor = 10_f64.powf(8.0 * noise(k, 5) - 4.0);
+        scaled.value[plain.start[k] as usize..plain.start[k + 1] as usize]
+            .iter_mut()
+            .for_each(|v| *v *= factor);
+    }
+    let skew = Lattice { asymmetry: 1.9, ..open }.rows();
+    // Drops of one particle, each with nearly no weight, beside liquid.
+    let mut drops: Vec<Vec<(usize, f64)>> = (0..count).map(|k| plain.row(k).collect()).collect();
+    drops.extend((0..50).map(|k| vec![(count + k, 1e-12)]));
+    let drops = rows_of(drops);
+    vec![
+        ("film", system(film.clone(), film)),
+        ("pocket", system(pocket.clone(), pocket)),
+        ("scaled", system(scaled, plain.clone())),
+        ("skew", system(skew, plain)),
+        ("drops", system(drops.clone(), drops)),
+    ]
+}
+
+#[test]
+fn the_worst_systems_are_solved_or_the_chain_solves_them() {
+    for options in ["", "-pc_type hypre", "-ksp_type bcgs -pc_type ilu", "-ksp_type bcgs -pc_type jacobi"] {
+        let output = child("worst_in_child", options);
+        assert_eq!(output.matches("within the tolerance").count(), worst().len(), "{options}: {output}");
+    }
+}
+
+#[test]
+#[ignore = "started by other tests"]
+fn worst_in_child() {
+    let options = std::env::var("SPHPETSC_TEST_OPTIONS").unwrap_or_default();
+    let session = start(&options);
+    for (name, mut system) in worst() {
+        let mut solver = PressureSolver::new(session.clone(), system.rhs.len()).unwrap();
+        let record = solver.solve(&mut system).unwrap();
+        let product = multiply(&system.full, &system.pressure);
+        let size = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+        let residual = size(&mut product.iter().zip(&system.rhs).map(|(a, b)| a - b));
+        assert!(residual <= 1.1e-5 * size(&mut system.rhs.iter().copied()), "{options}, {name}: {record:?}");
+        println!(
+            "{name} within the tolerance: {} iterations, fallback {:?}",
+            record.iterations, record.fallback
+        );
+    }
+}
+
 #[test]
 fn handles_drop_in_any_order() {
     let session = start("-ksp_type gmres");

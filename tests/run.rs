@@ -645,7 +645,7 @@ fn every_shipped_case_runs() {
             "dam_break_3d_fixed" | "dam_break_3d_open" | "dam_break_3d_sliding" | "stl_house" => {
                 "--spacing 0.055 --until 0.01"
             }
-            name if name.contains("3d") => "--spacing 0.02 --until 0.01",
+            "still_water_3d" => "--spacing 0.02 --until 0.01",
             _ => "--until 0.01",
         };
         done(&folder, &format!("{name} {short}"));

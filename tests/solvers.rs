@@ -13,6 +13,7 @@ use sphpetsc::ppe::solve::PressureSolver;
 use sphpetsc::ppe::{PressureSolve, recorder::Recorder, saved};
 use sphpetsc::scheme::isph::Isph;
 use sphpetsc::simulation::{Simulation, StepControl};
+use sphpetsc::terms::implicit_viscosity::VelocitySolver;
 
 const OPTION_SETS: [&str; 7] = [
     "-ksp_type cg -pc_type hypre",
@@ -29,9 +30,11 @@ fn save_systems(folder: &Path) -> Vec<PathBuf> {
     let text = builtin::find("dam_break_2d").unwrap();
     let case = read::read(text, "dam_break_2d", &[("spacing".into(), "0.01".into())]).unwrap();
     let scene = build::scene::<2>(&case);
-    let inner = PressureSolver::new(Session::start(&[]).unwrap(), scene.particles.fluid().len()).unwrap();
-    let solver = Box::new(Recorder::new(Box::new(inner)));
-    let scheme = Isph::new(scene.params.clone(), build::isph(&case), &scene.particles, solver);
+    let session = Session::start(&[]).unwrap();
+    let inner = PressureSolver::new(session.clone(), scene.particles.fluid().len()).unwrap();
+    let solvers =
+        (Box::new(Recorder::new(Box::new(inner))) as _, Box::new(VelocitySolver::new(session)) as _);
+    let scheme = Isph::new(scene.params.clone(), build::isph(&case), &scene.particles, solvers);
     let control = StepControl { fixed: None, largest: f64::INFINITY };
     let (gravity, support) = (scene.params.gravity, scene.params.support());
     let mut simulation =

@@ -114,16 +114,17 @@ fn params<const D: usize>(case: &CaseFile, tank: Option<&TankShape<D>>) -> Param
 /// The ISPH method of a case.
 pub fn isph(case: &CaseFile) -> isph::Method {
     let SchemeParams { collision_distance, collision_restitution, .. } = case.scheme;
+    let longest_step = match case.time.step {
+        Some(_) => 0.0,
+        None => isph::longest_step(case.scheme.smoothing_ratio * case.spacing, &case.gravity),
+    };
     isph::Method {
         laplacian: case.scheme.laplacian,
         source: match case.scheme.source {
-            SourceKind::Blended => Source::Blended { gamma: case.scheme.density_relaxation },
-            SourceKind::DensityInvariant => Source::DensityInvariant {
-                tau: match case.time.step {
-                    Some(_) => 0.0,
-                    None => isph::longest_step(case.scheme.smoothing_ratio * case.spacing, &case.gravity),
-                },
-            },
+            SourceKind::Blended => {
+                Source::Blended { gamma: case.scheme.density_relaxation, tau: 0.1 * longest_step }
+            }
+            SourceKind::DensityInvariant => Source::DensityInvariant { tau: longest_step },
             SourceKind::ErrorCompensating => Source::ErrorCompensating,
         },
         surface: match case.scheme.kind {

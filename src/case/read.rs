@@ -776,7 +776,7 @@ fn read_time(r: &Reader, scheme: &SchemeParams) -> TimeParams {
     TimeParams {
         until: r.number("until", Range::NotNegative, "s").required(),
         step: r.number("step", Range::Positive, "s").optional(),
-        courant: r.number("courant", Range::Above(0.0, 1.0), "").or(TimeParams::courant_of(scheme)),
+        courant: r.number("courant", Range::Above(0.0, 10.0), "").or(TimeParams::courant_of(scheme)),
         step_max: r.number("step_max", Range::Positive, "s").optional(),
     }
 }

@@ -14,7 +14,7 @@
 //! reaches the tolerance of a run, 1e-5, on every system of Eq. (3).
 
 mod row;
-pub(crate) mod sets;
+pub mod sets;
 mod table;
 #[cfg(feature = "petsc")]
 mod trial;

@@ -19,7 +19,7 @@ use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-use super::folder::write_atomic;
+use super::folder::{make_subfolder, write_atomic};
 use crate::{Error, Result};
 
 const MAGIC: &[u8; 8] = b"SPHCKPT\0";
@@ -95,7 +95,7 @@ impl Writer {
         self.bytes[LENGTH_AT..FRAME_HEAD].copy_from_slice(&length.to_le_bytes());
         self.bytes.extend(crc32fast::hash(&self.bytes).to_le_bytes());
 
-        fs::create_dir_all(folder).map_err(|error| Error::io(folder, error))?;
+        make_subfolder(folder)?;
         let path = folder.join(format!("step-{step:07}.ckpt"));
         write_atomic(&path, |file| file.write_all(&self.bytes))?;
 

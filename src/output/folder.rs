@@ -72,8 +72,20 @@ impl RunFolder {
         Self::open(path)
     }
 
-    /// Takes an existing folder as it is, to resume the run in it.
-    pub fn open(path: &Path) -> Result<Self> {
+    /// Takes an existing folder, to resume the run in it: but for files that a killed run did not finish, as it is.
+    pub fn resume(path: &Path) -> Result<Self> {
+        let folder = Self::open(path)?;
+        let below = |path: &Path| list(path).unwrap_or_default();
+        let of_subfolders = below(path).into_iter().filter(|entry| is_ours(entry) && entry.is_dir());
+        let inside: Vec<_> = of_subfolders.flat_map(|entry| below(&entry)).chain(below(path)).collect();
+        for unfinished in inside.iter().filter(|entry| is_temporary(entry)) {
+            fs::remove_file(unfinished).map_err(|error| Error::io(unfinished, error))?;
+        }
+        Ok(folder)
+    }
+
+    /// Takes an existing folder as it is.
+    fn open(path: &Path) -> Result<Self> {
         // Permission bits do not tell (read-only mounts, full quotas): try.
         let probe = path.join(temporary_name("write-test"));
         File::create(&probe).and_then(|_| fs::remove_file(&probe)).map_err(|error| {
@@ -90,6 +102,14 @@ impl RunFolder {
     /// A file or subfolder in it.
     pub fn join(&self, name: &str) -> PathBuf {
         self.path.join(name)
+    }
+}
+
+/// Makes a subfolder of a run's folder, which must be there: one that vanished is not to be replaced unnoticed.
+pub fn make_subfolder(path: &Path) -> Result<()> {
+    match fs::create_dir(path) {
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(Error::io(path, error)),
+        _ => Ok(()),
     }
 }
 
@@ -142,7 +162,13 @@ fn empty(path: &Path, entries: &[PathBuf]) -> Result<()> {
 
 fn is_ours(entry: &Path) -> bool {
     let name = entry.file_name().unwrap_or_default().to_string_lossy();
-    CONTENTS.contains(&&*name) || (name.starts_with('.') && name.ends_with(".tmp"))
+    CONTENTS.contains(&&*name) || is_temporary(entry)
+}
+
+/// Whether it has a [`temporary_name`].
+fn is_temporary(entry: &Path) -> bool {
+    let name = entry.file_name().unwrap_or_default().to_string_lossy();
+    name.starts_with('.') && name.ends_with(".tmp")
 }
 
 fn cannot_create(path: &Path, error: &io::Error) -> Error {

@@ -23,7 +23,7 @@ pub mod restart;
 pub mod table;
 pub mod vtk;
 
-pub use folder::{RunFolder, write_atomic};
+pub use folder::{RunFolder, make_subfolder, write_atomic};
 pub use progress::{Progress, Status};
 pub use table::{Cell, Table};
 pub use vtk::{Field, FieldData, Pvd, write_vtp};

@@ -68,24 +68,12 @@ pub(super) fn open(
     }
 }
 
-/// history.csv, and the energy watch.
+/// history.csv.
 pub struct History<const D: usize> {
     table: Table,
     every_step: bool,
     schedule: Schedule,
     params: Params<D>,
-    energy: Energy,
-}
-
-/// The liquid's total energy in J over a run.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Energy {
-    /// At the start, above the lowest point of the scene.
-    pub initial: f64,
-    /// Lowest so far.
-    pub lowest: f64,
-    /// Largest rise above an earlier value.
-    pub largest_rise: f64,
 }
 
 impl<const D: usize> History<D> {
@@ -97,7 +85,6 @@ impl<const D: usize> History<D> {
             every_step: case.output.samples == 0.0,
             schedule: Schedule::new(case.output.samples, vec![], since.unwrap_or(0.0)),
             params: params.clone(),
-            energy: Energy::default(),
         })
     }
 
@@ -105,46 +92,12 @@ impl<const D: usize> History<D> {
         Scene::of(simulation, self.params.mass(), self.params.gravity, self.params.spacing)
     }
 
-    /// The row of the initial state.
-    pub fn start(&mut self, simulation: &Simulation<D>) -> Result<()> {
-        self.watch_energy(simulation.energy());
-        self.sample(simulation)
-    }
-
-    /// Takes note of the energy in J after a step.
-    pub fn watch_energy(&mut self, now: f64) {
-        let energy = &mut self.energy;
-        if energy.initial == 0.0 {
-            (energy.initial, energy.lowest) = (now, now);
-        }
-        energy.lowest = energy.lowest.min(now);
-        energy.largest_rise = energy.largest_rise.max(now - energy.lowest);
-    }
-
-    fn sample(&mut self, simulation: &Simulation<D>) -> Result<()> {
+    /// Adds a row.
+    pub fn sample(&mut self, simulation: &Simulation<D>) -> Result<()> {
         let scene = self.scene(simulation);
         let time = Cell::Number(simulation.time);
         let values = quantities::history::<D>().map(|(_, value)| Cell::Number(value(&scene)));
         self.table.row(&[&[time], &values[..]].concat())
-    }
-
-    /// Energies of the run so far.
-    pub fn energy(&self) -> Energy {
-        self.energy
-    }
-
-    /// What the end table needs beyond the tables.
-    pub fn save(&self, writer: &mut checkpoint::Writer) {
-        let Energy { initial, lowest, largest_rise } = self.energy;
-        writer.f64("energy", &[initial, lowest, largest_rise]);
-    }
-
-    /// Goes on from a saved state.
-    pub fn restore(&mut self, reader: &checkpoint::Reader) -> Result<()> {
-        if let &[initial, lowest, largest_rise] = reader.f64("energy")? {
-            self.energy = Energy { initial, lowest, largest_rise };
-        }
-        Ok(())
     }
 
     /// Writes out what is pending.

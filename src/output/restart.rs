@@ -1,6 +1,7 @@
 //! A simulation's state in a checkpoint: everything the rest of a run depends on, bit for bit.
 
 use super::checkpoint::{Reader, Writer};
+use crate::invariants::Invariants;
 use crate::particles::Vector;
 use crate::simulation::{Simulation, Totals};
 use crate::{Error, Result};
@@ -11,12 +12,21 @@ pub fn save<const D: usize>(simulation: &Simulation<D>, writer: &mut Writer) {
         |vectors: &[Vector<D>]| -> Vec<f64> { vectors.iter().flat_map(|v| v.iter().copied()).collect() };
     let (particles, owned) = (&simulation.particles, simulation.particles.owned());
     let t = &simulation.totals;
-    let counts =
-        [t.clipped, t.collisions, t.left, t.through_walls, t.iterations, t.most_iterations, t.fallbacks];
+    let counts = [
+        t.clipped,
+        t.collisions,
+        t.left,
+        t.through_walls,
+        t.iterations,
+        t.most_iterations,
+        t.fallbacks,
+        t.retries,
+    ];
     writer
-        .f64("time", &[simulation.time, simulation.dt])
+        .f64("time", &[simulation.time, simulation.dt, simulation.caution])
         .u64("step", &[simulation.step])
         .u64("totals", &counts)
+        .f64("invariants", &simulation.invariants.state())
         .f64("scheme", &simulation.scheme.state())
         .u64("id", &particles.id[..owned])
         .f64("position", &flat(&particles.position[..owned]))
@@ -42,15 +52,17 @@ pub fn restore<const D: usize>(simulation: &mut Simulation<D>, reader: &Reader) 
     if !same || position.len() < solids || id[..solids] != simulation.particles.id[..solids] {
         return Err(foreign());
     }
-    let &[time, dt] = reader.f64("time")? else { return Err(foreign()) };
+    let &[time, dt, caution] = reader.f64("time")? else { return Err(foreign()) };
     let &[step] = reader.u64("step")? else { return Err(foreign()) };
-    let &[clipped, collisions, left, through_walls, iterations, most_iterations, fallbacks] =
+    let &[clipped, collisions, left, through_walls, iterations, most_iterations, fallbacks, retries] =
         reader.u64("totals")?
     else {
         return Err(foreign());
     };
     simulation.totals =
-        Totals { clipped, collisions, left, through_walls, iterations, most_iterations, fallbacks };
+        Totals { clipped, collisions, left, through_walls, iterations, most_iterations, fallbacks, retries };
+    simulation.caution = caution;
+    simulation.invariants = Invariants::from_state(reader.f64("invariants")?).ok_or_else(foreign)?;
     (simulation.time, simulation.dt, simulation.step) = (time, dt, step);
     // Ghosts are those of the arrays that go.
     simulation.particles.drop_ghosts();

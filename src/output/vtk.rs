@@ -17,7 +17,7 @@ use vtkio::model::{
 };
 use vtkio::xml::Compressor;
 
-use super::folder::write_atomic;
+use super::folder::{make_subfolder, write_atomic};
 use crate::{Error, Result};
 
 /// zlib level: higher ones take longer and gain less than 1 % on particle data.
@@ -305,7 +305,7 @@ impl Pvd {
         self.times.pop_if(|last| *last == time);
         let path = self.path.with_file_name(self.file(self.times.len()));
         let folder = self.path.with_extension("");
-        fs::create_dir_all(&folder).map_err(|error| Error::io(&folder, error))?;
+        make_subfolder(&folder)?;
         write(&path)?;
         self.times.push(time);
         self.write()

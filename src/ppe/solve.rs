@@ -105,7 +105,7 @@ const BOOMERAMG: &[(&str, &str)] = &[
 /// Options of ours in PETSc's database.
 const OWN_OPTIONS: &[&str] = &["ppe_sparse_pmat", "ppe_inner_rtol", "ppe_tuned"];
 /// Prefixes of solvers that come into play only when needed.
-const LATE_PREFIXES: &[&str] = &["outer_", "fallback_", "null_"];
+const LATE_PREFIXES: &[&str] = &["outer_", "fallback_", "null_", "viscous_"];
 
 /// The pressure solver of a run.
 pub struct PressureSolver {

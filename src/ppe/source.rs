@@ -3,9 +3,11 @@
 //! With d = div v*, c = n / n_0 - 1 the error of the density (n the kernel sum and n_0 its value on the regular lattice, both
 //! at the drifted positions), div((1/rho) grad p) is one of
 //!
-//! - *blended*: d / dt - gamma c / dt^2. ISPH_DF (Cummins & Rudman 1999) asks for div v = 0 after the correction. Alone
+//! - *blended*: d / dt - gamma c / (dt max(dt, tau)). ISPH_DF (Cummins & Rudman 1999) asks for div v = 0 after the correction. Alone
 //!   it lets small volume errors pile up, so a share gamma of the density source is added, the relaxed
-//!   condition of Asai et al. (2012). It takes an error back within 1 / gamma steps; gamma = 0 is plain ISPH_DF.
+//!   condition of Asai et al. (2012). It takes an error back within 1 / gamma steps; gamma = 0 is plain ISPH_DF. With adaptive
+//!   steps tau is a tenth of the longest of them, which only steps made short by a fault feel: as below, shortening them would
+//!   else make it worse.
 //! - *density-invariant*: -c / (dt max(dt, tau)). ISPH_DI (Shao & Lo 2003) asks for the density of the lattice, with tau = 0.
 //!   There r* is r + dt v*; here it is r + dt v, which lacks the same g dt^2 for liquid and walls alike. With adaptive steps
 //!   tau is the longest of them: else a short step answers to an error with a velocity c dx / dt, which makes the
@@ -24,6 +26,8 @@ pub enum Source {
     Blended {
         /// Share per step.
         gamma: f64,
+        /// Time tau in s; shorter steps take back less.
+        tau: f64,
     },
     /// The density of the lattice.
     DensityInvariant {
@@ -40,7 +44,7 @@ impl Source {
     pub fn of(self, divergence: f64, crowding: f64, near_surface: bool, dt: f64) -> f64 {
         let (d, c) = (divergence, if near_surface { crowding.max(0.0) } else { crowding });
         match self {
-            Self::Blended { gamma } => d / dt - gamma * c / (dt * dt),
+            Self::Blended { gamma, tau } => d / dt - gamma * c / (dt * tau.max(dt)),
             Self::DensityInvariant { tau } => -c / (dt * tau.max(dt)),
             Self::ErrorCompensating => ((1.0 + c.abs()) * d - d.abs() * c) / dt,
         }
@@ -54,7 +58,7 @@ mod tests {
     #[test]
     fn compressed_liquid_is_pushed_apart_by_every_source() {
         let all = [
-            Source::Blended { gamma: 0.1 },
+            Source::Blended { gamma: 0.1, tau: 0.0 },
             Source::DensityInvariant { tau: 0.0 },
             Source::ErrorCompensating,
         ];
@@ -64,7 +68,7 @@ mod tests {
             let thin = source.of(0.0, -0.02, true, 0.01);
             assert!(thin == 0.0, "{source:?}: a deficit near the surface is truncation");
         }
-        assert!((Source::Blended { gamma: 0.5 }.of(3.0, 0.02, false, 0.1) - 29.0).abs() < 1e-12);
+        assert!((Source::Blended { gamma: 0.5, tau: 0.0 }.of(3.0, 0.02, false, 0.1) - 29.0).abs() < 1e-12);
         assert!((Source::DensityInvariant { tau: 0.0 }.of(3.0, 0.02, false, 0.1) + 2.0).abs() < 1e-12);
         assert!((Source::ErrorCompensating.of(-3.0, 0.02, false, 0.1) - (-30.6 - 0.6)).abs() < 1e-12);
     }

@@ -3,7 +3,7 @@
 //! One step from t^n to t^(n+1), with one neighbour search, at the drifted positions r*:
 //!
 //! 1. drift      r* = r^n + dt v^n
-//! 2. predict    v* = v^n + dt (g + nu laplacian v^n)
+//! 2. predict    v* = v^n + dt (g + nu laplacian v^n), with laplacian v* where steps are long: [`crate::terms::implicit_viscosity`]
 //! 3. pressure   div((1/rho) grad p) = div v* / dt + ...          Eq. (3) of Jian et al. and [`crate::ppe::source`]
 //! 4. correct    v^(n+1) = v* - (dt / rho) grad p,   r^(n+1) = r* + (dt / 2) (v^(n+1) - v^n)
 //! 5. shift      r^(n+1) += dr                                     [`crate::terms::shifting`]
@@ -32,8 +32,10 @@ use crate::ppe::matrix::{Assembler, Inputs, Link};
 use crate::ppe::source::Source;
 use crate::ppe::{PressureSolve, SolveRecord};
 use crate::terms::collision::Collisions;
+use crate::terms::implicit_viscosity::{self, VelocitySolve};
 use crate::terms::shifting::Shifting;
-use crate::terms::{surface, viscosity};
+use crate::terms::surface;
+use crate::terms::viscosity::Form;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::path::Path;
@@ -71,11 +73,22 @@ impl Method {
             self.courant * params.spacing / speed,
             ACCELERATION_NUMBER * (h / acceleration).sqrt(),
             GRAVITY_WAVE_NUMBER * (h / params.gravity.norm()).sqrt(),
-            VISCOUS_NUMBER * h * h / params.kinematic_viscosity,
         ];
         // A limit that is not there divides by zero: infinite.
-        limits.into_iter().fold(f64::INFINITY, f64::min)
+        let limit = limits.into_iter().fold(f64::INFINITY, f64::min);
+        let explicit = explicit_viscosity_limit(params);
+        if explicit * IMPLICIT_GAIN < limit { limit } else { limit.min(explicit) }
     }
+}
+
+/// Viscosity is taken from the end of the step where that makes the step longer by more than this. One implicit solve costs as much
+/// as a step or two, and short explicit steps are the more accurate ones: not for a little is it worth it. With 10 or 40 the step is never
+/// less than that share of what the flow asks for either.
+const IMPLICIT_GAIN: f64 = 20.0;
+
+/// Longest step in s at which explicit viscosity is stable; infinite without viscosity.
+fn explicit_viscosity_limit<const D: usize>(params: &Params<D>) -> f64 {
+    VISCOUS_NUMBER * params.smoothing_length().powi(2) / params.kinematic_viscosity
 }
 
 /// Who is near whom at the drifted positions.
@@ -101,6 +114,8 @@ pub struct Isph<const D: usize> {
     walls: DummyWalls<D>,
     lattice: LatticeSums,
     solver: Box<dyn PressureSolve>,
+    velocity_solver: Box<dyn VelocitySolve>,
+    velocities: implicit_viscosity::Assembler,
     support: Support<D>,
     moments: Vec<Moments<D>>,
     surface: Vec<f64>,
@@ -109,6 +124,8 @@ pub struct Isph<const D: usize> {
     predicted: Vec<Vector<D>>,
     change: Vec<(Vector<D>, Vector<D>)>,
     assembler: Assembler,
+    /// Rows whose pressure is known up to a constant.
+    floats: Vec<bool>,
     pairs: Vec<(u32, u32)>,
     /// What walls receive in collisions over a step: impulses in N s, at its end forces in N.
     wall_force: Vec<Vector<D>>,
@@ -130,12 +147,12 @@ pub struct Isph<const D: usize> {
 const GRAVITY_WAVE_NUMBER: f64 = 0.1;
 
 impl<const D: usize> Isph<D> {
-    /// Scheme for `particles`, with a solver for its pressure systems.
+    /// Scheme for `particles`, with solvers for its pressures and for velocities of very viscous liquid.
     pub fn new(
         params: Params<D>,
         method: Method,
         particles: &Particles<D>,
-        solver: Box<dyn PressureSolve>,
+        (solver, velocity_solver): (Box<dyn PressureSolve>, Box<dyn VelocitySolve>),
     ) -> Self {
         let lattice = params.lattice_sums();
         let volume = params.volume();
@@ -146,6 +163,8 @@ impl<const D: usize> Isph<D> {
             halo: super::halo(&params, particles),
             lattice,
             solver,
+            velocity_solver,
+            velocities: implicit_viscosity::Assembler::default(),
             support,
             moments: vec![],
             surface: vec![],
@@ -154,6 +173,7 @@ impl<const D: usize> Isph<D> {
             predicted: vec![],
             change: vec![],
             assembler: Assembler::default(),
+            floats: vec![],
             pairs: vec![],
             wall_force: vec![],
             reorder: ReorderScratch::default(),
@@ -206,29 +226,41 @@ impl<const D: usize> Isph<D> {
         self.halo.refresh(particles.originals(), &mut self.crowding);
     }
 
-    /// v* of liquid and walls, and the source of every pressure row.
-    fn predict(&mut self, particles: &Particles<D>, dt: f64) {
-        let Params { gravity, kinematic_viscosity: nu, slip, spacing, .. } = self.params;
-        let (wanted, lattice) = (self.method.source, &self.lattice);
-        let (moments, has_surface) = (&self.moments, self.has_surface);
+    /// v* of liquid and walls.
+    fn predict(&mut self, particles: &Particles<D>, dt: f64) -> Result<()> {
+        let Params { gravity, kinematic_viscosity: nu, slip, .. } = self.params;
+        let moments = &self.moments;
         let surroundings = self.support.around(particles);
         let (solids, owned) = (particles.solids(), particles.owned());
+        let form = match self.has_surface {
+            true => Form::Central { moment: self.lattice.laplacian },
+            false => Form::TwoPoint,
+        };
+        let is_implicit = dt > explicit_viscosity_limit(&self.params);
         self.predicted.resize(particles.len(), Vector::zeros());
         self.predicted[..owned].par_iter_mut().enumerate().with_min_len(512).for_each(|(a, v)| {
             *v = particles.velocity[a] + dt * gravity;
-            if nu > 0.0 && a >= solids {
-                *v += dt
-                    * nu
-                    * match has_surface {
-                        true => viscosity::central(&surroundings, particles, a, slip, lattice.laplacian),
-                        false => {
-                            let moment = moments[a].position_divergence() / D as f64;
-                            viscosity::two_point(&surroundings, particles, a, slip, moment)
-                        }
-                    };
+            if nu > 0.0 && !is_implicit && a >= solids {
+                *v += dt * nu * form.laplacian(&surroundings, particles, &moments[a], a, slip);
             }
         });
+        if is_implicit {
+            let Self { velocities, halo, predicted, .. } = self;
+            velocities.assemble(particles, &surroundings, moments, form, slip, halo, predicted, dt * nu);
+            self.velocity_solver.solve(&mut velocities.system)?;
+            for (v, new) in predicted[solids..owned].iter_mut().zip(velocities.velocities()) {
+                *v = new;
+            }
+        }
         self.halo.refresh(particles.originals(), &mut self.predicted);
+        Ok(())
+    }
+
+    /// The source of every pressure row.
+    fn find_source(&mut self, particles: &Particles<D>, dt: f64) {
+        let (wanted, spacing) = (self.method.source, self.params.spacing);
+        let surroundings = self.support.around(particles);
+        let (solids, owned) = (particles.solids(), particles.owned());
         let (predicted, moments) = (&self.predicted, &self.moments);
         let (surface, crowding) = (&self.surface, &self.crowding);
         self.source.resize(owned, 0.0);
@@ -237,7 +269,9 @@ impl<const D: usize> Isph<D> {
                 kinematic::divergence(&surroundings, particles, a, predicted, &moments[a], spacing);
             let divergence = (1.0 - surface[a]) * divergence;
             let near_surface = surroundings.active(a).any(|(b, ..)| surface[b] > 0.5);
-            *source = wanted.of(divergence, crowding[a] - 1.0, near_surface || surface[a] > 0.5, dt);
+            // Rows of walls say how the pressure meets the wall; how crowded it is there, the liquid's own rows know.
+            let crowding = if a < solids { 0.0 } else { crowding[a] - 1.0 };
+            *source = wanted.of(divergence, crowding, near_surface || surface[a] > 0.5, dt);
         });
     }
 
@@ -259,12 +293,17 @@ impl<const D: usize> Isph<D> {
         self.assembler.assemble(&inputs, &self.halo, self.solver.needs());
     }
 
-    /// Pressures back to the particles; returns how many were clipped.
+    /// Pressures back to the particles; returns how many were clipped. Where no surface sets the level of the pressure, its sign
+    /// means nothing and it stays as it is.
     fn take_pressure(&mut self, particles: &mut Particles<D>) -> usize {
         let mut clipped = 0;
         if self.method.clip_negative_pressure {
-            for p in &mut self.assembler.system.pressure {
-                if *p < 0.0 {
+            let system = &mut self.assembler.system;
+            self.floats.clear();
+            self.floats.resize(system.pressure.len(), false);
+            system.floating.iter().flatten().for_each(|&row| self.floats[row as usize] = true);
+            for (p, floats) in system.pressure.iter_mut().zip(&self.floats) {
+                if *p < 0.0 && !floats {
                     (*p, clipped) = (0.0, clipped + 1);
                 }
             }
@@ -428,9 +467,13 @@ impl<const D: usize> Scheme<D> for Isph<D> {
             self.wall_force.clear();
             self.wall_force.resize(particles.walls().len(), Vector::zeros());
         }
-        watch.time("predict", || self.predict(particles, dt));
-        watch.time("assemble", || self.assemble(particles));
-        let solved = watch.time("solve", || self.solver.solve(&mut self.assembler.system));
+        let predicted = watch.time("predict", || self.predict(particles, dt));
+        watch.time("assemble", || {
+            self.find_source(particles, dt);
+            self.assemble(particles);
+        });
+        let solved =
+            watch.time("solve", || predicted.and_then(|()| self.solver.solve(&mut self.assembler.system)));
         let solved = watch.time("bodies", || solved.and_then(|record| self.couple(particles, dt, record)));
         watch.time("correct", || {
             if solved.is_ok() {
@@ -459,7 +502,8 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         self.depart(particles, dt);
         self.survey(particles);
         self.has_surface = self.ranks.max(self.surface.iter().copied().fold(0.0, f64::max)) > 0.0;
-        self.predict(particles, dt);
+        self.predict(particles, dt)?;
+        self.find_source(particles, dt);
         self.assemble(particles);
         self.solver.check(&self.assembler.system)?;
         self.solver.solve(&mut self.assembler.system)?;

@@ -718,7 +718,7 @@ impl Pairs {
             let v_ab = v_a - particles.velocity[b];
             let (approach, square) = (v_ab.dot(&r_ab), r_ab.norm_squared());
             let original = particles.original(b);
-            let difference = viscosity::wall_difference(particles, original, &r_ab, v_ab, self.slip);
+            let difference = viscosity::wall_factor(particles, original, &r_ab, self.slip) * v_ab;
             let viscous = self.viscosity.of(difference.dot(&r_ab), square, scheme.density[a]);
             let push = self.mass * (push_a + scheme.push[b] + viscous);
             rates.acceleration += f * (self.laminar * difference - push * r_ab);

@@ -15,73 +15,104 @@
 //! with d the distances to the face (Morris et al. 1997). The factor is capped where a touches the face.
 
 use crate::case::Slip;
-use crate::operators::Surroundings;
+use crate::operators::{Moments, Surroundings};
 use crate::particles::{Particles, Vector};
 
 /// Largest factor of the no-slip extrapolation: d_a is never taken below d_b / 2 (Morris et al. use 0.5 as well).
 const LARGEST_FACTOR: f64 = 3.0;
 
-/// Velocity difference of a no-slip pair, from the distances to the face of the wall.
-pub fn no_slip_difference<const D: usize>(v_aw: Vector<D>, distance_a: f64, distance_b: f64) -> Vector<D> {
+/// Factor on the velocity difference of a no-slip pair, from the distances to the face of the wall.
+pub fn no_slip_factor(distance_a: f64, distance_b: f64) -> f64 {
     let factor = if distance_a > 0.0 { 1.0 + distance_b / distance_a } else { LARGEST_FACTOR };
-    factor.min(LARGEST_FACTOR) * v_aw
+    factor.min(LARGEST_FACTOR)
 }
 
-/// Velocity difference in m/s that a pair of fluid particle a and solid particle `b` contributes: none where liquid
-/// slips.
-pub fn wall_difference<const D: usize>(
-    particles: &Particles<D>,
-    b: usize,
-    r_ab: &Vector<D>,
-    v_ab: Vector<D>,
-    slip: Slip,
-) -> Vector<D> {
+/// Factor on the velocity difference of a pair of liquid and solid particle `b`: none where liquid slips.
+pub fn wall_factor<const D: usize>(particles: &Particles<D>, b: usize, r_ab: &Vector<D>, slip: Slip) -> f64 {
     match slip {
-        Slip::Free => Vector::zeros(),
+        Slip::Free => 0.0,
         Slip::None => {
             let behind = particles.depth[b];
-            no_slip_difference(v_ab, r_ab.dot(&particles.normal[b]) - behind, behind)
+            no_slip_factor(r_ab.dot(&particles.normal[b]) - behind, behind)
         }
     }
 }
 
-/// Velocity differences that the liquid at fluid particle `a` rubs against: (difference, r_ab, V F_ab) of each neighbour.
-fn pairs<'a, const D: usize>(
-    surroundings: &Surroundings<'a, D>,
-    particles: &'a Particles<D>,
-    a: usize,
-    slip: Slip,
-) -> impl Iterator<Item = (Vector<D>, Vector<D>, f64)> + 'a {
-    let (v_a, solids) = (particles.velocity[a], particles.solids());
-    surroundings.active(a).map(move |(b, r_ab, vf)| {
-        let v_ab = v_a - particles.velocity[b];
-        let b = particles.original(b);
-        let difference = if b < solids { wall_difference(particles, b, &r_ab, v_ab, slip) } else { v_ab };
-        (difference, r_ab, vf)
-    })
+/// A form of the viscous term.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Form {
+    /// For scenes without a free surface.
+    TwoPoint,
+    /// For scenes with one; `moment` is sum -V F r^2 / D on the lattice.
+    Central {
+        /// Without unit.
+        moment: f64,
+    },
 }
 
-/// Two-point form at fluid particle `a`, in 1/(m s); `moment` is sum -V F r^2 / D of its support.
-pub fn two_point<const D: usize>(
-    surroundings: &Surroundings<'_, D>,
-    particles: &Particles<D>,
-    a: usize,
-    slip: Slip,
-    moment: f64,
-) -> Vector<D> {
-    let pair = |(difference, _, vf): (Vector<D>, Vector<D>, f64)| 2.0 * vf * difference;
-    pairs(surroundings, particles, a, slip).map(pair).sum::<Vector<D>>() / moment
+/// What neighbour `with` contributes to laplacian(v) at a: `coefficient` P (v_a - v_b).
+#[derive(Debug, Clone, Copy)]
+pub struct Pair<const D: usize> {
+    /// The neighbour.
+    pub with: usize,
+    /// Whether it is solid.
+    pub is_solid: bool,
+    /// In 1/m2, negative.
+    pub coefficient: f64,
+    /// P projects on this unit vector; without one it is the identity.
+    line: Option<Vector<D>>,
 }
 
-/// Central form at fluid particle `a`, in 1/(m s); `moment` is sum -V F r^2 / D on the lattice.
-pub fn central<const D: usize>(
-    surroundings: &Surroundings<'_, D>,
-    particles: &Particles<D>,
-    a: usize,
-    slip: Slip,
-    moment: f64,
-) -> Vector<D> {
-    let along = |difference: Vector<D>, r_ab: Vector<D>| difference.dot(&r_ab) / r_ab.norm_squared() * r_ab;
-    let pair = |(difference, r_ab, vf): (Vector<D>, Vector<D>, f64)| vf * along(difference, r_ab);
-    2.0 * (D + 2) as f64 / moment * pairs(surroundings, particles, a, slip).map(pair).sum::<Vector<D>>()
+impl<const D: usize> Pair<D> {
+    /// P v.
+    pub fn along(&self, v: &Vector<D>) -> Vector<D> {
+        self.line.map_or(*v, |line| line.dot(v) * line)
+    }
+
+    /// Component (d, e) of P.
+    pub fn direction(&self, d: usize, e: usize) -> f64 {
+        self.line.map_or(f64::from(u8::from(d == e)), |line| line[d] * line[e])
+    }
+}
+
+impl Form {
+    /// The pairs at fluid particle `a`, the moments of whose support are `moments`.
+    pub fn pairs<'a, const D: usize>(
+        self,
+        surroundings: &Surroundings<'a, D>,
+        particles: &'a Particles<D>,
+        moments: &Moments<D>,
+        a: usize,
+        slip: Slip,
+    ) -> impl Iterator<Item = Pair<D>> {
+        let solids = particles.solids();
+        let factor = match self {
+            Self::TwoPoint => 2.0 / (moments.position_divergence() / D as f64),
+            Self::Central { moment } => 2.0 * (D + 2) as f64 / moment,
+        };
+        surroundings.active(a).map(move |(b, r_ab, vf)| {
+            let original = particles.original(b);
+            let is_solid = original < solids;
+            let wall = if is_solid { wall_factor(particles, original, &r_ab, slip) } else { 1.0 };
+            let line = match self {
+                Self::TwoPoint => None,
+                Self::Central { .. } => Some(r_ab / r_ab.norm()),
+            };
+            Pair { with: b, is_solid, coefficient: factor * wall * vf, line }
+        })
+    }
+
+    /// laplacian(v) at fluid particle `a` in 1/(m s).
+    pub fn laplacian<const D: usize>(
+        self,
+        surroundings: &Surroundings<'_, D>,
+        particles: &Particles<D>,
+        moments: &Moments<D>,
+        a: usize,
+        slip: Slip,
+    ) -> Vector<D> {
+        let velocity = &particles.velocity;
+        let term = |pair: Pair<D>| pair.coefficient * pair.along(&(velocity[a] - velocity[pair.with]));
+        self.pairs(surroundings, particles, moments, a, slip).map(term).sum()
+    }
 }

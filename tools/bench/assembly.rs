@@ -29,7 +29,12 @@ fn assemble<const D: usize>(criterion: &mut Criterion, name: &str) {
     group.sample_size(10);
     for (matrices, needs) in MATRICES {
         let catcher = catcher::Catcher { needs, system: Rc::default() };
-        let mut scheme = Isph::new(params.clone(), method.clone(), &particles, Box::new(catcher));
+        let mut scheme = Isph::new(
+            params.clone(),
+            method.clone(),
+            &particles,
+            (Box::new(catcher), Box::new(catcher::Inviscid)),
+        );
         let dt = scheme.max_dt(&particles);
         group.bench_function(matrices, |bencher| {
             // Whole steps from the same state, of which only this stage counts.

@@ -24,7 +24,7 @@ fn system<const D: usize>(name: &str) -> PressureSystem {
     let caught = Rc::new(RefCell::default());
     let needs = Needs { symmetric: true, sparse: true, uncorrected: false };
     let catcher = catcher::Catcher { needs, system: Rc::clone(&caught) };
-    let mut scheme = Isph::new(params, method, &particles, Box::new(catcher));
+    let mut scheme = Isph::new(params, method, &particles, (Box::new(catcher), Box::new(catcher::Inviscid)));
     let dt = scheme.max_dt(&particles);
     scheme.step(&mut particles, dt).expect("nothing to fail");
     caught.take()

@@ -10,11 +10,13 @@ use sphpetsc::petsc::Session;
 use sphpetsc::ppe::solve::PressureSolver;
 use sphpetsc::scheme::isph::Isph;
 use sphpetsc::simulation::{Simulation, StepControl};
+use sphpetsc::terms::implicit_viscosity::VelocitySolver;
 
 fn step<const D: usize>(criterion: &mut Criterion, session: &Rc<Session>, name: &str) {
     let (Scene { particles, params, enclosure, .. }, method) = scenes::scene::<D>(name);
     let solver = PressureSolver::new(Rc::clone(session), particles.fluid().len()).expect("known types");
-    let scheme = Box::new(Isph::new(params.clone(), method, &particles, Box::new(solver)));
+    let solvers = (Box::new(solver) as _, Box::new(VelocitySolver::new(Rc::clone(session))) as _);
+    let scheme = Box::new(Isph::new(params.clone(), method, &particles, solvers));
     let control = StepControl { fixed: None, largest: f64::INFINITY };
     let mut simulation =
         Simulation::new(particles, scheme, control, enclosure, params.gravity, params.support());

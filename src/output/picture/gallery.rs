@@ -1,19 +1,18 @@
 //! Which pictures a run leaves: particles at the listed instants and at the end, gauges and energies over time.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::ValueEnum;
 
 use super::curves::{Series, Style, series_plot};
 use super::particles::{Scene, particle_picture};
+use crate::Result;
 use crate::case::{CaseFile, build::vector};
 use crate::output::comparison::{Columns, References};
-use crate::output::folder::RunFolder;
+use crate::output::folder::{RunFolder, make_subfolder};
 use crate::particles::Vector;
 use crate::scheme::StepReport;
 use crate::simulation::{Observer, Simulation};
-use crate::{Error, Result};
 
 /// Subfolder of a run that holds its pictures.
 pub(crate) const FOLDER: &str = "pictures";
@@ -62,7 +61,7 @@ impl<const D: usize> Pictures<D> {
     }
 
     fn draw(&self, simulation: &Simulation<D>, name: f64) -> Result<()> {
-        create(&self.folder)?;
+        make_subfolder(&self.folder)?;
         let particles = &simulation.particles;
         let scene = Scene {
             title: &format!("{}, t = {:.4} s", self.name, simulation.time),
@@ -91,7 +90,7 @@ impl<const D: usize> Observer<D> for Pictures<D> {
 ///
 /// Where a gauge is dry its curve has a gap: a zero would be a measurement.
 pub fn write_curves(folder: &RunFolder, case: &CaseFile, references: &References) -> Result<()> {
-    create(&folder.join(FOLDER))?;
+    make_subfolder(&folder.join(FOLDER))?;
     let history = Columns::read(&folder.join("history.csv"), f64::NAN)?;
     let energies = ENERGIES.map(|column| {
         let label = column.trim_end_matches("_j").replace('_', " ");
@@ -152,10 +151,6 @@ pub(crate) fn quantity(column: &str) -> (String, &'static str) {
     let found = units.iter().filter_map(|(end, unit)| Some((column.strip_suffix(end)?, *unit)));
     let (name, unit) = found.min_by_key(|(name, _)| name.len()).unwrap_or((column, "1"));
     (name.replace('_', " "), unit)
-}
-
-fn create(folder: &Path) -> Result<()> {
-    fs::create_dir_all(folder).map_err(|error| Error::io(folder, error))
 }
 
 #[cfg(test)]

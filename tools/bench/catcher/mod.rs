@@ -6,6 +6,7 @@ use std::rc::Rc;
 
 use sphpetsc::Result;
 use sphpetsc::ppe::{Needs, PressureSolve, PressureSystem, SolveRecord};
+use sphpetsc::terms::implicit_viscosity::{VelocitySolve, VelocitySystem};
 
 /// Asks for matrices and leaves the last system where others find it.
 pub struct Catcher {
@@ -35,5 +36,14 @@ impl PressureSolve for Catcher {
 
     fn save(&self, _: &PressureSystem, folder: &Path, _: &str) -> Result<PathBuf> {
         Ok(folder.to_owned())
+    }
+}
+
+/// Solves no velocities: water needs none.
+pub struct Inviscid;
+
+impl VelocitySolve for Inviscid {
+    fn solve(&mut self, _: &mut VelocitySystem) -> Result<usize> {
+        Ok(0)
     }
 }
