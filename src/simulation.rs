@@ -150,7 +150,7 @@ impl<const D: usize> Simulation<D> {
         };
         simulation.share_out();
         simulation.invariants =
-            Invariants::at_start(&simulation.particles, simulation.scheme.params(), &gravity);
+            Invariants::at_start(&simulation.particles, simulation.scheme.as_ref(), &gravity);
         simulation.dt = FIRST * simulation.stable_dt();
         simulation
     }

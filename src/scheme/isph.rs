@@ -124,8 +124,6 @@ pub struct Isph<const D: usize> {
     predicted: Vec<Vector<D>>,
     change: Vec<(Vector<D>, Vector<D>)>,
     assembler: Assembler,
-    /// Rows whose pressure is known up to a constant.
-    floats: Vec<bool>,
     pairs: Vec<(u32, u32)>,
     /// What walls receive in collisions over a step: impulses in N s, at its end forces in N.
     wall_force: Vec<Vector<D>>,
@@ -173,7 +171,6 @@ impl<const D: usize> Isph<D> {
             predicted: vec![],
             change: vec![],
             assembler: Assembler::default(),
-            floats: vec![],
             pairs: vec![],
             wall_force: vec![],
             reorder: ReorderScratch::default(),
@@ -269,9 +266,11 @@ impl<const D: usize> Isph<D> {
                 kinematic::divergence(&surroundings, particles, a, predicted, &moments[a], spacing);
             let divergence = (1.0 - surface[a]) * divergence;
             let near_surface = surroundings.active(a).any(|(b, ..)| surface[b] > 0.5);
-            // Rows of walls say how the pressure meets the wall; how crowded it is there, the liquid's own rows know.
-            let crowding = if a < solids { 0.0 } else { crowding[a] - 1.0 };
-            *source = wanted.of(divergence, crowding, near_surface || surface[a] > 0.5, dt);
+            let crowding = crowding[a] - 1.0;
+            *source = match a < solids {
+                true => wanted.of_wall(divergence, crowding, near_surface || surface[a] > 0.5, dt),
+                false => wanted.of(divergence, crowding, near_surface || surface[a] > 0.5, dt),
+            };
         });
     }
 
@@ -293,17 +292,17 @@ impl<const D: usize> Isph<D> {
         self.assembler.assemble(&inputs, &self.halo, self.solver.needs());
     }
 
-    /// Pressures back to the particles; returns how many were clipped. Where no surface sets the level of the pressure, its sign
-    /// means nothing and it stays as it is.
+    fn clips(&self) -> bool {
+        self.method.clip_negative_pressure && self.has_surface
+    }
+
+    /// Pressures back to the particles; returns how many were clipped. In a scene without a surface nothing sets the level of the
+    /// pressure: its sign means nothing, and it stays as it is.
     fn take_pressure(&mut self, particles: &mut Particles<D>) -> usize {
         let mut clipped = 0;
-        if self.method.clip_negative_pressure {
-            let system = &mut self.assembler.system;
-            self.floats.clear();
-            self.floats.resize(system.pressure.len(), false);
-            system.floating.iter().flatten().for_each(|&row| self.floats[row as usize] = true);
-            for (p, floats) in system.pressure.iter_mut().zip(&self.floats) {
-                if *p < 0.0 && !floats {
+        if self.clips() {
+            for p in &mut self.assembler.system.pressure {
+                if *p < 0.0 {
                     (*p, clipped) = (0.0, clipped + 1);
                 }
             }
@@ -356,6 +355,7 @@ impl<const D: usize> Isph<D> {
         dt: f64,
         mut record: SolveRecord,
     ) -> Result<SolveRecord> {
+        let clip = self.clips();
         let Self { afloat, assembler, solver, answers, .. } = self;
         if afloat.bodies.is_empty() {
             return Ok(record);
@@ -394,7 +394,7 @@ impl<const D: usize> Isph<D> {
             accelerations: &afloat.accelerations,
             pressure: true,
             repulsion: &[],
-            clip: self.method.clip_negative_pressure,
+            clip,
             response: strong.then_some((&responses[..], &assembler.row_of[..])),
         };
         let q = afloat.bodies.advance(&flow, dt);
