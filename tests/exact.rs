@@ -67,6 +67,27 @@ fn a_standing_wave_keeps_its_period_and_damping() {
     assert_eq!((found["clipped_pressures"].as_u64(), found["collisions"].as_u64()), (Some(0), Some(0)));
 }
 
+/// Vortices so viscous that explicit steps would be a tenth as long: the decay is that of the implicit Euler rule, whose share
+/// k dt / 2 of error halves with the step.
+#[test]
+fn implicit_viscosity_decays_in_first_order() {
+    let decay = |step: f64| {
+        let words = "taylor_green --spacing 0.02 --until 0.03 --set fluid.kinematic_viscosity=1 --set output.samples=0";
+        let folder = run(&format!("{words} --set time.step={step}"));
+        let (time, energy) =
+            (column(&folder, "history.csv", "time_s"), column(&folder, "history.csv", "kinetic_energy_j"));
+        let last = time.len() - 1;
+        // Energy decays at twice the rate of the velocity.
+        -0.5 * (energy[last] / energy[0]).ln() / time[last]
+    };
+    let (coarse, fine) = (decay(4e-4), decay(2e-4));
+    let exact = 8.0 * std::f64::consts::PI.powi(2);
+    let euler = |dt: f64| (1.0 + exact * dt).ln() / dt;
+    assert!((coarse / euler(4e-4) - 1.0).abs() < 0.01, "{coarse}, {}", euler(4e-4));
+    assert!((fine / euler(2e-4) - 1.0).abs() < 0.01, "{fine}, {}", euler(2e-4));
+    assert!((coarse - exact).abs() > 1.5 * (fine - exact).abs(), "{coarse}, {fine}, {exact}");
+}
+
 #[test]
 fn a_spinning_square_keeps_its_energy_under_suction() {
     let folder = run("rotating_square --spacing 0.04");

@@ -484,6 +484,27 @@ fn a_run_out_of_control_stops_with_step_and_particle() {
     }
 }
 
+/// Adaptive steps ten times beyond the limit of an explicit scheme are found out and shortened, fixed ones are told of and stop.
+#[test]
+fn steps_too_long_are_shortened_or_told_of() {
+    let folder = folder();
+    let case = "dam_break_2d --scheme wcsph --spacing 0.02 --until 0.5";
+    done(&folder, &format!("{case} --set time.courant=10 --out adaptive"));
+    let found = summary(&folder.path().join("adaptive"));
+    assert!(found["retried_steps"].as_u64() > Some(0), "{found}");
+    assert!(found["energy"]["largest_rise_of_initial"].as_f64() < Some(0.1), "{found}");
+    assert_eq!(found["particles"]["through_walls"], 0);
+
+    let output = run(&folder, &format!("{case} --set time.step=1.3e-3 --out fixed"));
+    let said = sentence(&output, 1);
+    assert!(
+        said.contains("energy that nothing gave it") || said.contains(" J that nothing gave it"),
+        "{said}"
+    );
+    let all = crate::common::stderr(&output);
+    assert!(all.contains("times the longest stable one"), "{all}");
+}
+
 #[test]
 fn wrong_petsc_options_are_refused_with_advice() {
     for (options, wanted) in [
