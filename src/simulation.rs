@@ -142,7 +142,8 @@ impl<const D: usize> Simulation<D> {
             control,
             enclosure,
             gravity,
-            speed_limit: RUNAWAY * (speed + fall),
+            // Where nothing moves or falls, nothing tells what is too fast.
+            speed_limit: if speed + fall > 0.0 { RUNAWAY * (speed + fall) } else { f64::INFINITY },
             margin: support,
             before: State::default(),
             caution: 1.0,

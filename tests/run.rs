@@ -702,7 +702,7 @@ fn every_shipped_case_runs() {
                 "--spacing 0.055 --until 0.01"
             }
             "still_water_3d" => "--spacing 0.02 --until 0.01",
-            _ => "--until 0.01",
+            _ => "--until 0.003",
         };
         done(&folder, &format!("{name} {short}"));
         assert!(folder.path().join("out").join(name).join("run.toml").is_file());

@@ -495,8 +495,9 @@ impl<const D: usize> Scheme<D> for Isph<D> {
     }
 
     fn start(&mut self, particles: &mut Particles<D>) -> Result<()> {
-        // Any short step gives the pressure of a state whose velocity is free of divergence.
-        let dt = 0.1 * self.max_dt(particles);
+        // Any short step gives the pressure of a state whose velocity is free of divergence; where nothing moves or falls, any at all.
+        let limit = self.max_dt(particles);
+        let dt = if limit.is_finite() { 0.1 * limit } else { 1.0 };
         // The divergence that the pressure answers to shows only as the liquid moves.
         drift(particles, dt);
         self.depart(particles, dt);
