@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant, SystemTime};
 
-use crate::common::{command, done, run, sentence};
+use crate::common::{bits, command, done, newest_state, run, sentence};
 use sphpetsc::output::checkpoint::{self, Reader};
 use sphpetsc::output::vtk;
 
@@ -15,15 +15,9 @@ use sphpetsc::output::vtk;
 const BUSY: &str = "dam_break_2d --spacing 0.02 --scheme wcsph --until 0.6 --set output.particles=0.005 \
                     --set output.checkpoint=0.005 --quiet";
 
-/// The state of a finished run: all sections of its newest checkpoint.
+/// Everything in the newest state of a run, bit by bit.
 fn state(folder: &Path) -> BTreeMap<String, Vec<u64>> {
-    let newest = checkpoint::latest(&folder.join("checkpoint")).unwrap().expect("a checkpoint");
-    let state = Reader::load(&newest).unwrap();
-    let section = |name: &str| match state.f64(name) {
-        Ok(numbers) => numbers.iter().map(|x| x.to_bits()).collect(),
-        Err(_) => state.u64(name).unwrap().to_vec(),
-    };
-    state.names().map(|name| (name.to_owned(), section(name))).collect()
+    bits(&newest_state(folder))
 }
 
 fn start(folder: &Path, line: &str) -> Child {

@@ -8,9 +8,9 @@ use std::process::{Child, Command, Output, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::common::{command, done, refused, run, sentence};
+use crate::common::{bits, command, done, newest_state, refused, run, sentence};
 use serde_json::Value;
-use sphpetsc::output::checkpoint::{self, Reader};
+use sphpetsc::output::checkpoint;
 use tempfile::TempDir;
 
 /// A dam break of 200 particles, with schedules that do not depend on its end.
@@ -39,20 +39,6 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         }
     }
     found
-}
-
-fn newest_state(folder: &Path) -> Reader {
-    let newest = checkpoint::latest(&folder.join("checkpoint")).unwrap().expect("a checkpoint");
-    Reader::load(&newest).unwrap()
-}
-
-/// Everything in a state, bit by bit.
-fn bits(state: &Reader) -> BTreeMap<String, Vec<u64>> {
-    let section = |name: &str| match state.f64(name) {
-        Ok(numbers) => numbers.iter().map(|x| x.to_bits()).collect(),
-        Err(_) => state.u64(name).unwrap().to_vec(),
-    };
-    state.names().map(|name| (name.to_owned(), section(name))).collect()
 }
 
 /// Particle files by the time that the collection gives them.

@@ -114,9 +114,15 @@ fn params<const D: usize>(case: &CaseFile, tank: Option<&TankShape<D>>) -> Param
 /// The ISPH method of a case.
 pub fn isph(case: &CaseFile) -> isph::Method {
     let SchemeParams { collision_distance, collision_restitution, .. } = case.scheme;
+    // At the start: of waves on its surface, or of liquid that is fast already.
     let longest_step = match case.time.step {
         Some(_) => 0.0,
-        None => isph::longest_step(case.scheme.smoothing_ratio * case.spacing, &case.gravity),
+        None => {
+            let speed = |block: &FluidBlock| block.velocity.iter().map(|v| v * v).sum::<f64>().sqrt();
+            let fastest = case.fluid.blocks.iter().map(speed).fold(0.0, f64::max);
+            let of_waves = isph::longest_step(case.scheme.smoothing_ratio * case.spacing, &case.gravity);
+            of_waves.min(case.time.courant * case.spacing / fastest)
+        }
     };
     isph::Method {
         laplacian: case.scheme.laplacian,

@@ -10,7 +10,7 @@
 //!   else make it worse.
 //! - *density-invariant*: -c / (max(dt, 2 tau / 5) max(dt, tau)). ISPH_DI (Shao & Lo 2003) asks for the density of the lattice, with tau = 0.
 //!   There r* is r + dt v*; here it is r + dt v, which lacks the same g dt^2 for liquid and walls alike. With adaptive steps
-//!   tau is the longest of them: else a short step answers to an error with a velocity c dx / dt, which makes the
+//!   tau is the longest of them at the start: else a short step answers to an error with a velocity c dx / dt, which makes the
 //!   next step shorter still, and the run ends within a few steps (2D dam break at 0.27 s). Below 2 tau / 5 velocities c dx / tau a
 //!   step, which nothing takes back, would still add up to any amount: there they shrink with the step. With a tenth in place of
 //!   two fifths 60 s of `sloshing` at 0.05 m gain 66 % of their energy (9 %), with a fiftieth the run fails at 29 s.

@@ -1,9 +1,12 @@
 //! The program as a user starts it, for all tests that do.
 #![allow(dead_code)]
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
+
+use sphpetsc::output::checkpoint::{self, Reader};
 
 /// The program in a folder with the words of a line as its arguments.
 pub fn command(folder: impl AsRef<Path>, line: &str) -> Command {
@@ -61,4 +64,19 @@ pub fn is_installed(program: &str) -> bool {
         eprintln!("skipped: no {program}");
     }
     is_there
+}
+
+/// The newest state of a run.
+pub fn newest_state(folder: &Path) -> Reader {
+    let newest = checkpoint::latest(&folder.join("checkpoint")).unwrap().expect("a checkpoint");
+    Reader::load(&newest).unwrap()
+}
+
+/// Everything in a state, bit by bit.
+pub fn bits(state: &Reader) -> BTreeMap<String, Vec<u64>> {
+    let section = |name: &str| match state.f64(name) {
+        Ok(numbers) => numbers.iter().map(|x| x.to_bits()).collect(),
+        Err(_) => state.u64(name).unwrap().to_vec(),
+    };
+    state.names().map(|name| (name.to_owned(), section(name))).collect()
 }
