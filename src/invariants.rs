@@ -179,7 +179,7 @@ impl<const D: usize> Invariants<D> {
     pub fn jumped_from(&self, before: &Self) -> bool {
         let whole = 0.5 * self.mass * self.speed * self.speed;
         let Energy { now, lowest, .. } = self.energy;
-        now - lowest > ENERGY[0] * whole && now - before.energy.now > JUMP * whole
+        whole > 0.0 && now - lowest > ENERGY[0] * whole && now - before.energy.now > JUMP * whole
     }
 
     /// Volume, density and divergence of the liquid's inside.

@@ -102,7 +102,7 @@ const RETRIES: u64 = 5;
 /// Growth of the caution after a step that went well: what made a step go wrong is likely to come back. Half and twice the exponent
 /// forget within 700 and 170 steps what halved a step.
 const RELIEF: f64 = 1.002;
-/// Least share of the stable step.
+/// Least share of the stable step, for careful steps and for those done again.
 const LEAST_CAUTION: f64 = 1.0 / 32.0;
 /// A speed this many times that of a fall through the whole scene is a run out of control.
 const RUNAWAY: f64 = 20.0;
@@ -242,18 +242,20 @@ impl<const D: usize> Simulation<D> {
         let mut dt = self.next_dt();
         self.warn_of_long_step(dt);
         self.remember();
+        // Steps that nothing mends must not become ever shorter.
+        let least = LEAST_CAUTION * self.stable_dt();
         let mut retries = 0;
         let (report, invariants) = loop {
             let wrong = match self.attempt(dt) {
                 Ok((report, invariants)) => match self.flaw(&invariants) {
-                    Some(flaw) if retries < RETRIES => Error::Run(flaw.into()),
+                    Some(flaw) if retries < RETRIES && 0.5 * dt >= least => Error::Run(flaw.into()),
                     _ => break (report, invariants),
                 },
                 Err(error) => error,
             };
             self.swap_states();
             let may_help = self.control.fixed.is_none() && matches!(wrong, Error::Run(_) | Error::Petsc(_));
-            if !may_help || retries == RETRIES {
+            if !may_help || retries == RETRIES || 0.5 * dt < least {
                 return Err(self.located(wrong, dt));
             }
             log::debug!("{}: again, half as long", self.located(wrong, dt));
