@@ -177,7 +177,7 @@ impl<const D: usize> Invariants<D> {
 
     /// Whether the liquid, above the bound already, gained more energy in one step than a good one gives it.
     pub fn jumped_from(&self, before: &Self) -> bool {
-        let whole = 0.5 * self.mass * self.speed * self.speed;
+        let whole = self.available();
         let Energy { now, lowest, .. } = self.energy;
         whole > 0.0 && now - lowest > ENERGY[0] * whole && now - before.energy.now > JUMP * whole
     }
@@ -217,8 +217,13 @@ impl<const D: usize> Invariants<D> {
         }
     }
 
+    /// E in J.
+    fn available(&self) -> f64 {
+        0.5 * self.mass * self.speed * self.speed
+    }
+
     fn judge(&mut self, step: u64) -> Result<()> {
-        let whole = 0.5 * self.mass * self.speed * self.speed;
+        let whole = self.available();
         // Where nothing moves or falls at the start, nothing tells what is much.
         if whole == 0.0 {
             return Ok(());

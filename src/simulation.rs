@@ -226,36 +226,30 @@ impl<const D: usize> Simulation<D> {
         self.scheme.max_dt(&self.particles).min(self.control.largest)
     }
 
-    /// The next step: fixed, or as long as stability and a steady growth allow.
-    pub fn next_dt(&self) -> f64 {
-        match self.control.fixed {
-            Some(dt) => dt,
-            None => (self.caution * self.stable_dt()).min(GROWTH * self.dt),
-        }
-    }
-
     /// Advances by one step. An adaptive step that goes wrong is done again, half as long, from where it began. After an error
     /// the particles are those of the last good state, and [`swap_states`](Self::swap_states) brings up the failing one.
     pub fn advance(&mut self) -> Result<StepReport> {
         // Here and not after the last step, so that observers find the particles as the step saw them.
         self.remove_leavers();
-        let mut dt = self.next_dt();
-        self.warn_of_long_step(dt);
+        let stable = self.stable_dt();
+        // Fixed, or as long as stability and a steady growth allow.
+        let mut dt = self.control.fixed.unwrap_or((self.caution * stable).min(GROWTH * self.dt));
+        self.warn_of_long_step(dt, stable);
         self.remember();
-        // Steps that nothing mends must not become ever shorter.
-        let least = LEAST_CAUTION * self.stable_dt();
         let mut retries = 0;
         let (report, invariants) = loop {
+            // Steps that nothing mends must not become ever shorter.
+            let may_retry =
+                self.control.fixed.is_none() && retries < RETRIES && 0.5 * dt >= LEAST_CAUTION * stable;
             let wrong = match self.attempt(dt) {
                 Ok((report, invariants)) => match self.flaw(&invariants) {
-                    Some(flaw) if retries < RETRIES && 0.5 * dt >= least => Error::Run(flaw.into()),
+                    Some(flaw) if may_retry => Error::Run(flaw.into()),
                     _ => break (report, invariants),
                 },
                 Err(error) => error,
             };
             self.swap_states();
-            let may_help = self.control.fixed.is_none() && matches!(wrong, Error::Run(_) | Error::Petsc(_));
-            if !may_help || retries == RETRIES || 0.5 * dt < least {
+            if !may_retry || !matches!(wrong, Error::Run(_) | Error::Petsc(_)) {
                 return Err(self.located(wrong, dt));
             }
             log::debug!("{}: again, half as long", self.located(wrong, dt));
@@ -305,11 +299,10 @@ impl<const D: usize> Simulation<D> {
     }
 
     /// Says once that a fixed step is longer than a stable one.
-    fn warn_of_long_step(&mut self, dt: f64) {
+    fn warn_of_long_step(&mut self, dt: f64, stable: f64) {
         if self.control.fixed.is_none() || self.warned_of_step {
             return;
         }
-        let stable = self.stable_dt();
         if dt > (1.0 + 1e-9) * stable && self.step > 0 {
             self.warned_of_step = true;
             log::warn!(

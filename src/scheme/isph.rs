@@ -265,12 +265,9 @@ impl<const D: usize> Isph<D> {
             let divergence =
                 kinematic::divergence(&surroundings, particles, a, predicted, &moments[a], spacing);
             let divergence = (1.0 - surface[a]) * divergence;
-            let near_surface = surroundings.active(a).any(|(b, ..)| surface[b] > 0.5);
-            let crowding = crowding[a] - 1.0;
-            *source = match a < solids {
-                true => wanted.of_wall(divergence, crowding, near_surface || surface[a] > 0.5, dt),
-                false => wanted.of(divergence, crowding, near_surface || surface[a] > 0.5, dt),
-            };
+            let near_surface = surface[a] > 0.5 || surroundings.active(a).any(|(b, ..)| surface[b] > 0.5);
+            let of_row = if a < solids { Source::of_wall } else { Source::of };
+            *source = of_row(wanted, divergence, crowding[a] - 1.0, near_surface, dt);
         });
     }
 

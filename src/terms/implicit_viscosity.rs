@@ -29,8 +29,8 @@ pub struct VelocitySystem {
 
 /// Solves systems (1).
 pub trait VelocitySolve {
-    /// Solves `system` in place, or fails with one sentence; returns the number of iterations.
-    fn solve(&mut self, system: &mut VelocitySystem) -> Result<usize>;
+    /// Solves `system` in place, or fails with one sentence.
+    fn solve(&mut self, system: &mut VelocitySystem) -> Result<()>;
 }
 
 /// Assembles systems (1); owns the system and its buffers.
@@ -139,7 +139,7 @@ impl VelocitySolver {
 
 #[cfg(feature = "petsc")]
 impl VelocitySolve for VelocitySolver {
-    fn solve(&mut self, system: &mut VelocitySystem) -> Result<usize> {
+    fn solve(&mut self, system: &mut VelocitySystem) -> Result<()> {
         use crate::petsc::{Ksp, Matrix, Vector};
         let VelocitySystem { matrix, rhs, velocity } = system;
         let matrix = Matrix::from_rows(&self.session, &matrix.start, &matrix.column, &matrix.value)?;
@@ -147,7 +147,7 @@ impl VelocitySolve for VelocitySolver {
         let size = rhs.norm()?;
         if size == 0.0 {
             velocity.fill(0.0);
-            return Ok(0);
+            return Ok(());
         }
         let mut residual = f64::INFINITY;
         let mut iterations = 0;
@@ -164,7 +164,7 @@ impl VelocitySolve for VelocitySolver {
             residual = matrix.residual_norm(&solution, &rhs)?;
             if residual <= Self::ACCEPTED * size {
                 solution.read(velocity)?;
-                return Ok(iterations);
+                return Ok(());
             }
         }
         Err(crate::Error::Run(format!(

@@ -43,7 +43,7 @@ impl PressureSolve for Catcher {
 pub struct Inviscid;
 
 impl VelocitySolve for Inviscid {
-    fn solve(&mut self, _: &mut VelocitySystem) -> Result<usize> {
-        Ok(0)
+    fn solve(&mut self, _: &mut VelocitySystem) -> Result<()> {
+        Ok(())
     }
 }
