@@ -40,11 +40,12 @@ fn execute(ranks: Ranks) -> Result<()> {
             run::check(&args, &args.load_case()?)
         }
         Command::Run(args) => {
+            let case = args.load_case()?;
             if let Some(count) = args.ranks {
                 parallel::launch(count)?;
             }
             start_log(if ranks.is_first() { args.common.log_level() } else { log::LevelFilter::Off });
-            run::run(&args, &args.load_case()?, ranks)
+            run::run(&args, &case, ranks)
         }
         Command::Report(args) => page::write(&args),
         Command::Solvers(args) if args.list => cli::print(lab::CATALOGUE),

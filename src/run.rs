@@ -145,15 +145,18 @@ impl<'a, const D: usize> Run<'a, D> {
         log::info!("{described}");
         let (opened, saved) = match resumed {
             None => (None, None),
-            Some((folder, state)) => {
+            Some((path, state)) => {
                 ranks.agree(restart::restore(&mut simulation, &state))?;
                 log::info!("resumed at t = {:.6} s, step {}", simulation.time, simulation.step);
-                (Some(folder), Some(state))
+                (Some(path), Some(state))
             }
         };
         let since = saved.as_ref().map(|_| simulation.time);
         let open = || {
-            let folder = opened.map_or_else(|| create_folder(args, case), Ok)?;
+            let folder = match opened {
+                Some(path) => RunFolder::resume(&path)?,
+                None => create_folder(args, case)?,
+            };
             write_run_file(&folder, args, case, ranks)?;
             Output::new(args, case, &scene, folder, (references, measured), saved.as_ref(), since, described)
         };
@@ -514,7 +517,7 @@ fn create_folder(args: &RunArgs, case: &CaseFile) -> Result<RunFolder> {
 }
 
 /// Folder and newest state of the run to go on with.
-fn resume_from(args: &RunArgs, case: &CaseFile) -> Result<Option<(RunFolder, checkpoint::Reader)>> {
+fn resume_from(args: &RunArgs, case: &CaseFile) -> Result<Option<(PathBuf, checkpoint::Reader)>> {
     let Some(folder) = &args.resume else { return Ok(None) };
     let path = match (folder, &args.out) {
         (Some(path), _) | (None, Some(path)) => path.clone(),
@@ -535,7 +538,7 @@ fn resume_from(args: &RunArgs, case: &CaseFile) -> Result<Option<(RunFolder, che
             path.display()
         )));
     }
-    Ok(Some((RunFolder::resume(&path)?, state)))
+    Ok(Some((path, state)))
 }
 
 /// What a summary says of a run that reached its end.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant, SystemTime};
@@ -174,24 +174,55 @@ fn a_folder_that_vanishes_ends_the_run_in_a_sentence() {
     assert!(said.contains("out"), "{said}");
 }
 
+/// A disk of 1 MB of its own, as long as it lives.
+struct Disk(PathBuf);
+
+impl Disk {
+    /// None, and said so, without the right to mount.
+    fn mount(folder: &Path) -> Option<Self> {
+        let disk = Self(folder.join("disk"));
+        fs::create_dir(&disk.0).unwrap();
+        let is_mounted = mount(&["-t", "tmpfs", "-o", "size=1m", "tmpfs"], &disk.0);
+        if !is_mounted {
+            eprintln!("skipped: needs the right to mount a small disk");
+        }
+        is_mounted.then_some(disk)
+    }
+}
+
+impl Drop for Disk {
+    fn drop(&mut self) {
+        Command::new("umount").arg(&self.0).status().ok();
+    }
+}
+
+fn mount(words: &[&str], at: &Path) -> bool {
+    Command::new("mount").args(words).arg(at).output().is_ok_and(|output| output.status.success())
+}
+
 #[test]
 fn a_full_disk_ends_the_run_in_a_sentence_and_keeps_what_was_there() {
     let folder = tempfile::tempdir().unwrap();
-    let disk = folder.path().join("disk");
-    fs::create_dir(&disk).unwrap();
-    let mount = Command::new("mount").args(["-t", "tmpfs", "-o", "size=1m", "tmpfs"]).arg(&disk).output();
-    if !mount.is_ok_and(|output| output.status.success()) {
-        eprintln!("skipped: needs the right to mount a small disk");
-        return;
-    }
-    let output = run(&folder, &format!("{BUSY} --out disk/out"));
-    let resumable = checkpoint::latest(&disk.join("out/checkpoint")).unwrap().map(|path| Reader::load(&path));
-    let whole = std::panic::catch_unwind(|| assert_whole(&disk.join("out")));
-    assert!(Command::new("umount").arg(&disk).status().unwrap().success());
-    let said = sentence(&output, 1);
+    let Some(disk) = Disk::mount(folder.path()) else { return };
+    let said = sentence(&run(&folder, &format!("{BUSY} --out disk/out")), 1);
     assert!(said.contains("disk") && said.to_lowercase().contains("space"), "{said}");
-    resumable.expect("a checkpoint from before").unwrap();
-    whole.expect("whole files");
+    let out = disk.0.join("out");
+    Reader::load(&checkpoint::latest(&out.join("checkpoint")).unwrap().expect("one from before")).unwrap();
+    assert_whole(&out);
+}
+
+#[test]
+fn a_read_only_disk_is_refused_before_the_first_step() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(disk) = Disk::mount(folder.path()) else { return };
+    let line = BUSY.replace("--until 0.6", "--until 0.02");
+    done(&folder, &format!("{line} --out disk/out"));
+    assert!(mount(&["-o", "remount,ro"], &disk.0));
+    for line in [&format!("{line} --out disk/other"), "--resume disk/out --until 0.1", "report disk/out"] {
+        let output = run(&folder, line);
+        let said = sentence(&output, if line.starts_with("report") { 1 } else { 2 });
+        assert!(said.contains("disk") && said.contains("Read-only"), "{said}");
+    }
 }
 
 #[test]

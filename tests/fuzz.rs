@@ -12,12 +12,17 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 use sphpetsc::case::{builtin, read};
+use sphpetsc::cli::{CaseArgs, ReportArgs, StudyArgs};
 use sphpetsc::form::Mesh;
 use sphpetsc::lab::sets::OptionSet;
 use sphpetsc::output::checkpoint::{Reader, Writer};
 use sphpetsc::output::comparison::References;
 use sphpetsc::output::profiles;
+use sphpetsc::page;
 use sphpetsc::ppe::saved;
+use sphpetsc::study::axes::Outline;
+
+use crate::common::done;
 
 /// Longest time that one file may take.
 const LONGEST: Duration = Duration::from_secs(10);
@@ -117,19 +122,23 @@ impl Edit {
 
 /// Damages one of `samples` again and again, and lets `parse` read it.
 fn fuzz(samples: &[Vec<u8>], parse: impl Fn(&[u8])) {
+    fuzz_some(CASES, samples, |_, bytes| parse(bytes));
+}
+
+/// [`fuzz`] for what takes long to read; `parse` is told which of the samples it gets.
+fn fuzz_some(cases: u32, samples: &[Vec<u8>], parse: impl Fn(usize, &[u8])) {
     let seconds = std::env::var("SPHPETSC_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok());
     let until = Instant::now() + Duration::from_secs(seconds.unwrap_or(0));
     let memory = sphpetsc::memory::peak_mb();
     let lists = (0..samples.len(), vec(edit(), 0..6));
     let runs = RefCell::new(0_u64);
     loop {
-        let mut runner =
-            TestRunner::new(Config { cases: CASES, failure_persistence: None, ..Config::default() });
+        let mut runner = TestRunner::new(Config { cases, failure_persistence: None, ..Config::default() });
         let outcome = runner.run(&lists, |(sample, edits)| {
             let mut bytes = samples[sample].clone();
             edits.iter().for_each(|edit| edit.apply(&mut bytes));
             let begun = Instant::now();
-            parse(&bytes);
+            parse(sample, &bytes);
             prop_assert!(begun.elapsed() < LONGEST, "took {:?}", begun.elapsed());
             *runs.borrow_mut() += 1;
             Ok(())
@@ -254,5 +263,65 @@ fn lists_of_solver_options() {
     let sample = "# mine\n-ksp_type cg -pc_type hypre\nname: -ksp_type bcgs -pc_type ilu -ksp_rtol 1e-6\n";
     fuzz(&[sample.into()], |bytes| {
         let _ = OptionSet::parse_all(&String::from_utf8_lossy(bytes));
+    });
+}
+
+#[test]
+fn study_files() {
+    let studies = Path::new(env!("CARGO_MANIFEST_DIR")).join("cases/studies");
+    let files = fs::read_dir(studies).unwrap().map(|entry| entry.unwrap().path());
+    let mut files: Vec<_> = files.filter(|path| path.extension().is_some_and(|end| end == "toml")).collect();
+    files.sort();
+    assert!(files.len() > 5);
+    let samples: Vec<_> = files.iter().map(|path| fs::read(path).unwrap()).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("damaged.toml");
+    fuzz(&samples, |bytes| {
+        fs::write(&path, bytes).unwrap();
+        let common = CaseArgs { case: Some(path.to_str().unwrap().into()), ..CaseArgs::default() };
+        let args = StudyArgs { common, ..StudyArgs::default() };
+        let _ = Outline::of(&args).and_then(|outline| outline.points(&args, &folder.path().join("out")));
+    });
+}
+
+/// One file of a run at a time; each may be right still, so that a page comes of it.
+#[test]
+fn folders_of_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = "dam_break_3d_fixed --scheme wcsph --spacing 0.11 --until 0.02 --set output.particles=0.01 --threads 1";
+    done(&folder, &format!("{line} --out run -q"));
+    let run = folder.path().join("run");
+    let mut files: Vec<_> = [run.clone(), run.join("particles")]
+        .iter()
+        .flat_map(|folder| fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()))
+        .filter(|path| path.is_file())
+        .collect();
+    files.sort();
+    assert!(files.len() > 6, "{files:?}");
+    let samples: Vec<_> = files.iter().map(|path| fs::read(path).unwrap()).collect();
+    let args = ReportArgs { folder: run, quiet: true };
+    page::write(&args).unwrap();
+    fuzz_some(CASES / 3, &samples, |k, bytes| {
+        fs::write(&files[k], bytes).unwrap();
+        let _ = page::write(&args);
+        fs::write(&files[k], &samples[k]).unwrap();
+    });
+    page::write(&args).unwrap();
+}
+
+/// PETSc reads them as it starts, which it does once in a process.
+#[test]
+#[cfg(feature = "petsc")]
+fn files_of_petsc_options() {
+    let sample = "# mine\n-ksp_type cg\n-pc_type hypre\n-pc_hypre_boomeramg_strong_threshold 0.5 -ksp_rtol 1e-6\n\
+                  -ksp_max_it 30\n-ksp_monitor\n";
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("options");
+    fuzz_some(CASES / 10, &[sample.into()], |_, bytes| {
+        fs::write(&path, bytes).unwrap();
+        let output = crate::common::run(&folder, "check dam_break_2d -options_file options");
+        if output.status.code() != Some(0) {
+            crate::common::sentence(&output, 2);
+        }
     });
 }

@@ -29,11 +29,13 @@ fn state(folder: &TempDir, ranks: usize) -> Reader {
     Reader::load(&checkpoint::latest(&path).unwrap().unwrap()).unwrap()
 }
 
-/// A field of one number a particle, by id.
-fn by_id(state: &Reader, field: &str) -> BTreeMap<u64, f64> {
+/// The numbers of a field by particle and component.
+fn by_id(state: &Reader, field: &str) -> BTreeMap<(u64, usize), f64> {
     let (id, values) = (state.u64("id").unwrap(), state.f64(field).unwrap());
-    assert_eq!(id.len(), values.len());
-    id.iter().copied().zip(values.iter().copied()).collect()
+    let components = values.len() / id.len();
+    assert_eq!(components * id.len(), values.len());
+    let key = |k: usize| (id[k / components], k % components);
+    values.iter().enumerate().map(|(k, value)| (key(k), *value)).collect()
 }
 
 /// A column of the last row of a table.
@@ -65,7 +67,7 @@ fn flow_is_the_same(line: &str, several: &[usize], share: f64) {
 }
 
 /// Largest difference of two fields over the largest value.
-fn difference(one: &BTreeMap<u64, f64>, other: &BTreeMap<u64, f64>) -> f64 {
+fn difference(one: &BTreeMap<(u64, usize), f64>, other: &BTreeMap<(u64, usize), f64>) -> f64 {
     assert!(one.keys().eq(other.keys()), "other particles");
     let largest = one.values().map(|p| p.abs()).fold(0.0, f64::max);
     one.values().zip(other.values()).map(|(p, q)| (p - q).abs()).fold(0.0, f64::max) / largest
@@ -143,19 +145,41 @@ fn still_water_stays_still_on_four_ranks() {
     }
 }
 
-#[test]
-fn a_run_goes_on_with_other_ranks() {
+/// Fields of a run on one rank, and of one begun on two and gone on with by three, differ by less than `tolerance`.
+fn goes_on_with_other_ranks(line: &str, [middle, end]: [f64; 2], tolerance: f64) {
     let folder = tempfile::tempdir().unwrap();
-    let line = "dam_break_2d --scheme wcsph --spacing 0.04";
-    if !done(&folder, &format!("{line} --until 0.02"), 1)
-        || !done(&folder, &format!("{line} --until 0.01"), 2)
+    if !done(&folder, &format!("{line} --until {end}"), 1)
+        || !done(&folder, &format!("{line} --until {middle}"), 2)
     {
         return;
     }
-    let output = program(&folder, &format!("{line} --until 0.02 --quiet --resume 2"), 3).unwrap();
+    let output = program(&folder, &format!("{line} --until {end} --quiet --resume 2"), 3).unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let [whole, resumed] = [1, 2].map(|ranks| state(&folder, ranks));
-    assert!(difference(&by_id(&whole, "pressure"), &by_id(&resumed, "pressure")) < 1e-6);
+    for field in ["position", "velocity", "pressure"] {
+        let difference = difference(&by_id(&whole, field), &by_id(&resumed, field));
+        assert!(difference < tolerance, "{field}: {difference:e}");
+    }
+}
+
+#[test]
+fn a_run_goes_on_with_other_ranks() {
+    goes_on_with_other_ranks("dam_break_2d --scheme wcsph --spacing 0.04", [0.01, 0.02], 1e-6);
+}
+
+#[test]
+#[cfg(feature = "petsc")]
+fn a_run_of_isph_goes_on_with_other_ranks() {
+    goes_on_with_other_ranks(
+        "dam_break_2d --spacing 0.02 --set time.step=2e-3 -ksp_rtol 1e-10",
+        [0.02, 0.04],
+        1e-6,
+    );
+    goes_on_with_other_ranks(
+        "dam_break_3d_sliding --spacing 0.08 --set time.step=2e-3 -ksp_rtol 1e-10",
+        [0.02, 0.04],
+        1e-6,
+    );
 }
 
 #[test]
