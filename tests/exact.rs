@@ -15,7 +15,7 @@ fn run(line: &str) -> TempDir {
 }
 
 fn summary(folder: &TempDir) -> Value {
-    serde_json::from_str(&fs::read_to_string(folder.path().join("out/summary.json")).unwrap()).unwrap()
+    crate::common::summary(&folder.path().join("out"))
 }
 
 /// Largest error of a measure over the run.

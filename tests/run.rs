@@ -8,8 +8,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::common::{bits, command, done, newest_state, refused, run, sentence};
-use serde_json::Value;
+use crate::common::{bits, command, done, newest_state, refused, run, sentence, summary};
 use sphpetsc::output::checkpoint;
 use tempfile::TempDir;
 
@@ -73,10 +72,6 @@ fn assert_same_run(whole: &Path, resumed: &Path) {
     }
     let energy = |folder: &Path| summary(folder)["energy"].clone();
     assert_eq!(energy(whole), energy(resumed));
-}
-
-fn summary(folder: &Path) -> Value {
-    serde_json::from_slice(&fs::read(folder.join("summary.json")).unwrap()).unwrap()
 }
 
 /// A column of a table as text.

@@ -42,11 +42,10 @@ mod runs {
     use std::thread;
     use std::time::{Duration, Instant, SystemTime};
 
-    use serde_json::Value;
     use sphpetsc::output::checkpoint;
 
     use super::*;
-    use crate::common::{command, done, stdout};
+    use crate::common::{command, done, stdout, summary};
     use tempfile::TempDir;
 
     /// Runs of 50 and 200 particles.
@@ -59,10 +58,6 @@ mod runs {
         let head: Vec<String> = lines.next().unwrap().split(',').map(str::to_owned).collect();
         let columns = head.len();
         (head, lines.map(|line| line.splitn(columns, ',').map(str::to_owned).collect()).collect())
-    }
-
-    fn summary(run: &Path) -> Value {
-        serde_json::from_slice(&fs::read(run.join("summary.json")).unwrap()).unwrap()
     }
 
     fn written(path: &Path) -> SystemTime {

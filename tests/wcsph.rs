@@ -1,6 +1,6 @@
 //! Weakly compressible SPH: still water, conservation, walls, and the command line around it.
 
-use crate::common::run;
+use crate::common::{done, run, summary};
 use sphpetsc::case::build::{self, Scene};
 use sphpetsc::case::{CaseFile, read};
 use sphpetsc::particles::Vector;
@@ -270,4 +270,13 @@ fn artificial_viscosity_makes_up_what_the_laminar_one_lacks() {
     // Of 8 nu / (c_0 h), with c_0 = 20 sqrt(g 0.2 m) and h = 0.02 m.
     let water = 0.02 - 8e-6 / (20.0 * (9.81_f64 * 0.2).sqrt() * 0.02);
     assert!((alpha("1e-6") - water).abs() < 1e-12, "{}", alpha("1e-6"));
+}
+
+/// Two particles at the face of a body as light as they are, under tension: once they drew each other along, to 71 % more energy.
+#[test]
+fn a_light_body_does_not_run_away_with_liquid_under_tension() {
+    let folder = tempfile::tempdir().unwrap();
+    done(&folder, "light_body --scheme wcsph --until 0.32 --out run");
+    let rise = &summary(&folder.path().join("run"))["energy"]["largest_rise_of_initial"];
+    assert!(rise.as_f64() < Some(0.02), "{rise}");
 }

@@ -713,6 +713,7 @@ impl Pairs {
         rates: &mut Rates<D>,
     ) {
         let (r_a, v_a, push_a) = (particles.position[a], particles.velocity[a], scheme.own_push(a));
+        let tension = scheme.has_surface && push_a < 0.0;
         for (b, _, f) in row.iter() {
             let r_ab = r_a - particles.position[b];
             let v_ab = v_a - particles.velocity[b];
@@ -720,7 +721,11 @@ impl Pairs {
             let original = particles.original(b);
             let difference = viscosity::wall_factor(particles, original, &r_ab, self.slip) * v_ab;
             let viscous = self.viscosity.of(difference.dot(&r_ab), square, scheme.density[a]);
-            let push = self.mass * (push_a + scheme.push[b] + viscous);
+            // Walls of bodies have no pressure where liquid is under tension, so it does not pull the body. Nor may the body pull it:
+            // the two would run away, the liquid drawn to the body and the body driven by its repulsion.
+            let is_pulled = tension && scheme.afloat.bodies.free(original).is_some();
+            let own = if is_pulled { 0.0 } else { push_a };
+            let push = self.mass * (own + scheme.push[b] + viscous);
             rates.acceleration += f * (self.laminar * difference - push * r_ab);
             rates.continuity += self.mass * f * approach;
         }

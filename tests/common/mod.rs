@@ -6,6 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use serde_json::Value;
 use sphpetsc::output::checkpoint::{self, Reader};
 
 /// The program in a folder with the words of a line as its arguments.
@@ -65,6 +66,11 @@ pub fn is_installed(program: &str) -> bool {
         eprintln!("skipped: no {program}");
     }
     is_there
+}
+
+/// summary.json of a run.
+pub fn summary(run: &Path) -> Value {
+    serde_json::from_slice(&fs::read(run.join("summary.json")).unwrap()).unwrap()
 }
 
 /// The newest state of a run.
