@@ -10,9 +10,9 @@
 //!
 //! E = M U^2 / 2 is the energy of the liquid of mass M at its start, the potential one above the lowest particle of the scene: no flow
 //! has more of it to turn into motion, unless it is put in. The work done on the liquid is that of a shaken tank, -M a . v, and of moving bodies, the
-//! opposite of what the liquid does on them. Compressed liquid (`wcsph`) has elastic energy too; what a wall that repels holds
-//! of it is not counted, so that a particle that bounces off one shows as a rise. Particles that leave take theirs along. Bounds warn once; where they are exceeded a
-//! bound half or twice as large would have warned in nearly the same runs, since flows of good steps stay below a fifth of them.
+//! opposite of what the liquid does on them. Compressed liquid (`wcsph`) has elastic energy too, and liquid near a wall that repels
+//! it the potential of that force. Particles that leave take theirs along. Bounds warn once; where they are exceeded a bound half or
+//! twice as large would have warned in nearly the same runs, since flows of good steps stay below a fifth of them.
 //!
 //! Values that are not finite and speeds out of reach are found in every step by [`crate::simulation`], as are particles behind walls.
 
@@ -303,7 +303,8 @@ impl<const D: usize> Sums<D> {
             let pressures = particles.pressure[fluid.clone()].iter();
             pressures.map(|p| (p / (params.density * sound_speed)).powi(2)).sum()
         });
-        let energy = mass * (0.5 * (squares + elastic) - gravity.dot(&moment));
+        let at_walls = compressibility.map_or(0.0, |compressibility| compressibility.wall_potential);
+        let energy = mass * (0.5 * (squares + elastic) - gravity.dot(&moment)) + at_walls;
         let mut local = vec![energy, mass * fluid.len() as f64, left];
         local.extend(momentum.iter().map(|p| mass * p));
         let whole = params.ranks.sums(&local);

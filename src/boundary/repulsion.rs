@@ -41,12 +41,31 @@ impl Repulsion {
     /// Eq. (1) in m/s2 on liquid at r_ab from a wall particle with the normal of a flat wall, or none.
     #[inline]
     pub fn of<const D: usize>(&self, r_ab: &Vector<D>, normal: Option<&Vector<D>>) -> Vector<D> {
+        let Some((y, direction, share)) = self.approach(r_ab, normal) else { return Vector::zeros() };
+        let ratio = (self.reach / y).powi(2);
+        share * self.strength * (ratio * ratio - ratio) / y * direction
+    }
+
+    /// What moving liquid there from out of reach along the normal took, in J/kg: the integral of (1).
+    pub fn potential<const D: usize>(&self, r_ab: &Vector<D>, normal: Option<&Vector<D>>) -> f64 {
+        let Some((y, _, share)) = self.approach(r_ab, normal) else { return 0.0 };
+        let ratio = (self.reach / y).powi(2);
+        share * self.strength * (0.25 * (ratio * ratio - 1.0) - 0.5 * (ratio - 1.0))
+    }
+
+    /// y, n and the product of (1), within reach.
+    #[inline]
+    fn approach<const D: usize>(
+        &self,
+        r_ab: &Vector<D>,
+        normal: Option<&Vector<D>>,
+    ) -> Option<(f64, Vector<D>, f64)> {
         let (y, direction) = match normal {
             Some(normal) => (r_ab.dot(normal), *normal),
             None => (r_ab.norm(), r_ab.normalize()),
         };
         if y >= self.reach || y <= 0.0 {
-            return Vector::zeros();
+            return None;
         }
         let aside = r_ab - y * direction;
         let near = |t: f64| (1.0 - t.abs() / self.spacing).max(0.0);
@@ -54,8 +73,7 @@ impl Repulsion {
             true => aside.iter().map(|t| near(*t)).product(),
             false => near(aside.norm()),
         };
-        let ratio = (self.reach / y).powi(2);
-        share * self.strength * (ratio * ratio - ratio) / y * direction
+        Some((y, direction, share))
     }
 }
 
@@ -73,6 +91,20 @@ mod tests {
         for normal in [Some(&up), None] {
             let f = wall.of(&Vector::<2>::new(0.0, 0.005), normal);
             assert!((f.y - 12.0 * 19.62 / 0.005).abs() < 1e-8 && f.x == 0.0);
+        }
+    }
+
+    #[test]
+    fn the_potential_falls_by_the_force() {
+        let (wall, up) = (Repulsion::new(9.81, 0.4, 0.0, 0.01, 1.0), Vector::<2>::new(0.0, 1.0));
+        for normal in [Some(&up), None] {
+            let potential = |y: f64| wall.potential(&Vector::<2>::new(0.0, y), normal);
+            assert!(potential(0.01) == 0.0 && potential(0.00999) > 0.0);
+            for y in [0.004, 0.007, 0.0095] {
+                let slope = (potential(y + 1e-7) - potential(y - 1e-7)) / 2e-7;
+                let force = wall.of(&Vector::<2>::new(0.0, y), normal).y;
+                assert!((slope + force).abs() < 1e-5 * force, "{y}: {slope}, {force}");
+            }
         }
     }
 

@@ -322,6 +322,8 @@ pub struct Compressibility {
     pub sound_speed: f64,
     /// Largest |rho / rho_0 - 1| since the start.
     pub largest_variation: f64,
+    /// Energy in J that walls hold by which this rank's liquid is repelled.
+    pub wall_potential: f64,
 }
 
 /// Per-particle results of the last step, beside the state itself. Arrays have one entry a particle.

@@ -208,6 +208,8 @@ pub struct Wcsph<const D: usize> {
     /// Largest acceleration of the last step in m/s2.
     acceleration: f64,
     largest_variation: f64,
+    /// What repulsive walls hold of this rank's liquid, in J.
+    wall_potential: f64,
     steps: u64,
     stages: Stages,
 }
@@ -243,6 +245,7 @@ impl<const D: usize> Wcsph<D> {
             has_surface: true,
             acceleration: 0.0,
             largest_variation: 0.0,
+            wall_potential: 0.0,
             steps: 0,
             stages: Stages::default(),
             params,
@@ -601,6 +604,22 @@ impl<const D: usize> Wcsph<D> {
         }
         self.acceleration = self.ranks.max(acceleration.sqrt());
         self.largest_variation = self.ranks.max(variation).max(self.largest_variation);
+        self.wall_potential = self.potential_at_walls(particles);
+    }
+
+    /// Energy in J of this rank's liquid near repulsive walls. One after the other: sums must not depend on the threads.
+    fn potential_at_walls(&self, particles: &Particles<D>) -> f64 {
+        let (walls, position, repulsion) =
+            (particles.walls().end, &particles.position, self.method.repulsion);
+        let of_pair = |a: usize, b: usize| match particles.original(b) {
+            w if w < walls => repulsion.potential(&(position[a] - position[b]), particles.flat_normal(w)),
+            _ => 0.0,
+        };
+        let of = |a: usize| {
+            let solid = self.neighbors.row(a).split().1;
+            solid.iter().map(|(b, ..)| of_pair(a, b)).sum::<f64>()
+        };
+        self.params.mass() * particles.fluid().map(of).sum::<f64>()
     }
 
     /// Bodies in the middle of the step. Dummies feel prescribed accelerations only: from the last step's, a body lighter than the
@@ -875,8 +894,8 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
     }
 
     fn compressibility(&self) -> Option<Compressibility> {
-        let Self { largest_variation, .. } = *self;
-        Some(Compressibility { sound_speed: self.method.sound_speed, largest_variation })
+        let Self { largest_variation, wall_potential, .. } = *self;
+        Some(Compressibility { sound_speed: self.method.sound_speed, largest_variation, wall_potential })
     }
 
     fn stages(&self) -> &Stages {
