@@ -143,6 +143,10 @@ impl<const D: usize> Packed for Moments<D> {
 /// exact gradient: its inverse would amplify noise more than about threefold.
 const SMALLEST_DETERMINANT: f64 = 0.3;
 
+/// det(M)^(1/D) of supports too poor for [`Moments::shape_correction`], and of good ones. A flat surface of the wide support of `wcsph`
+/// has about 0.6.
+const SHAPED: [f64; 2] = [0.4, 0.55];
+
 impl<const D: usize> Moments<D> {
     /// Position divergence div r.
     pub fn position_divergence(&self) -> f64 {
@@ -153,6 +157,22 @@ impl<const D: usize> Moments<D> {
     /// directions are alike, and less elsewhere.
     pub fn filling(&self) -> f64 {
         D as f64 * inverse(&self.matrix).1.max(0.0).powf(1.0 / D as f64)
+    }
+
+    /// What makes sums over the support see a pure strain as one: det(M)^(1/D) M^-1 in a good support, the identity in a poor one.
+    ///
+    /// Its determinant is 1: how full the support is stays in the sums, as the only word that a cluster of few particles has of its
+    /// density. With B_a itself such clusters collapse.
+    pub fn shape_correction(&self) -> Matrix<D> {
+        let (inverse, determinant) = inverse(&self.matrix);
+        let fullness = determinant.max(0.0).powf(1.0 / D as f64);
+        let [poor, good] = SHAPED;
+        let share = ((fullness - poor) / (good - poor)).clamp(0.0, 1.0);
+        if share > 0.0 {
+            (share * fullness) * inverse + Matrix::from_diagonal_element(1.0 - share)
+        } else {
+            Matrix::identity()
+        }
     }
 
     /// B_a, where the support is good enough for it.
