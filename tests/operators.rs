@@ -116,6 +116,7 @@ in_2d_and_3d! {
     gradients_of_linear_fields_are_exact: linear_gradient,
     symmetric_gradients_are_pair_forces: pair_forces,
     divergence_of_linear_velocities: linear_divergence,
+    a_pure_strain_is_no_compression: shape_correction,
     pairs_know_each_other: pair_symmetry,
     the_top_row_is_the_surface: surface_of_a_lattice,
     still_water_is_an_exact_solution: still_water,
@@ -177,6 +178,30 @@ fn linear_divergence<const D: usize>() {
         let plain = (tilt * moments.matrix).trace();
         assert!((of(&any, &Moments::default()) - plain).abs() < 1e-12, "without B the difference form");
     }
+}
+
+fn shape_correction<const D: usize>() {
+    let water = Water::<D>::in_tank(0.2);
+    let around = water.around();
+    let tilt = Matrix::<D>::from_fn(|i, j| [0.3, -1.1, 0.8, 0.5, 1.7, -0.4, 0.9, -0.6, 1.2][3 * i + j]);
+    let strain = tilt - Matrix::from_diagonal_element(tilt.trace() / D as f64);
+    let strained = |a: usize, shape: &Matrix<D>| -> f64 {
+        around.active(a).map(|(_, r, vf)| -vf * (strain * r).dot(&(shape * r))).sum()
+    };
+    let (mut corrected, mut off) = (0, 0.0_f64);
+    for a in water.solved() {
+        let shape = water.moments[a].shape_correction();
+        // Good supports only: poor ones take a share of it.
+        if water.moments[a].filling() > 0.6 * D as f64 {
+            let full = Moments { matrix: shape, ..Moments::default() }.filling();
+            assert!((full - D as f64).abs() < 1e-12, "a determinant of 1, not {full}");
+            assert!(strained(a, &shape).abs() < 1e-11, "{}", strained(a, &shape));
+            corrected += 1;
+            off = off.max(strained(a, &Matrix::identity()).abs());
+        }
+    }
+    assert!(corrected > 100 && off > 0.1, "{corrected} corrected, {off} without");
+    assert_eq!(Moments::<D>::default().shape_correction(), Matrix::<D>::identity());
 }
 
 fn pair_symmetry<const D: usize>() {

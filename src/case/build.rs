@@ -190,7 +190,7 @@ pub fn wcsph<const D: usize>(case: &CaseFile, scene: &Scene<D>) -> wcsph::Method
         density_diffusion_coefficient: scheme.density_diffusion_coefficient,
         acoustic_damper: if plain { 0.0 } else { scheme.acoustic_damper },
         differences_in_closed_liquid: !plain,
-        corrected: !plain,
+        corrected: !plain && D == 2,
         shifting: if plain { 0.0 } else { scheme.shifting },
         stepping: if plain { super::Stepping::PredictorCorrector } else { scheme.stepping },
         courant: case.time.courant,
