@@ -51,20 +51,21 @@
 //!
 //! | | without | with |
 //! |---|---|---|
-//! | `standing_wave` at 0.05 m: period, damping off by | 0.8, 38 % | 0.2, 2.4 % |
-//! | `stretching_drop` at R/25 and R/50, no jitter: centre pressure, rms | 12, 26 % | 3.0, 3.3 % |
-//! | 2D dam break at 0.01 m: front at the wall | 0.307 s | 0.310 s |
+//! | `standing_wave` at 0.05 m: period, damping off by | 0.8, 38 % | 0.3, 23 % |
+//! | the same at 0.04 m | 1.0, 17 % | 0.1, 11 % |
+//! | `stretching_drop`, its variant `regular`, at R/25 and R/50: centre pressure, rms | 9, 12 % | 1.8, 2.5 % |
+//! | 2D dam break at 0.01 m: front at the wall | 0.308 s | 0.312 to 0.316 s |
 //!
 //! In 3D, on rows as narrow as there, (6) does harm: in the dam break on a box at 0.0366 m the flood meets the front of the box at 0.430 instead of
 //! 0.418 s (measured 0.393), at 0.425 s if only supports above 0.75 are corrected, and the energy rises by 1 instead of 0.1 %.
 //!
-//! **Smoothing length.** With (6) the standing wave's damping is 27 % off at h / dx = 1.5 and 2.4 % at 2 (period 0.7 and 0.2 %); a row
-//! grows with (h / dx)^D, the step with h. In 3D, where rows would be 4.6 times as long, h / dx stays 1.2 unless a case asks for more.
+//! **Smoothing length.** With h / dx = 1.2 and 1.5 in place of 2 the damping of `standing_wave` at 0.05 m is several times too strong and twice as far
+//! off; a row grows with (h / dx)^D, the step with h. In 3D, where rows would be 4.6 times as long, h / dx stays 1.2 unless a case asks for more.
 //!
 //! **Tension.** A wall has no negative pressure: it may hold liquid back but not hold on to it. Nor does p_a < 0 of liquid at a wall count
 //! in (3): drawn by one half of the pair force and held off by the repulsion, films of such liquid gained energy, and two particles
-//! drove a body as light as they were from 3 to 24 m/s. In six runs of the 2D dam break to 1.5 s at 0.01 m, which differ in their Courant numbers
-//! by a few per cent, the largest energy rise is 0.5 to 1.7 %; with the pull 0.1 to 10 %.
+//! drove a body as light as they were from 3 to 24 m/s. Single splashes still gain energy: three runs of the 2D dam break to 1.5 s at 0.01 m, which differ in
+//! their Courant numbers by a few per cent, rise by 0.5 to 3.6 %; six with the pull and without (6) by 0.2 to 7.8 %.
 //!
 //! **Viscosity.** alpha is there to calm particles. A laminar viscosity of the central form is an alpha of 2 (D + 2) nu / (c_0 h):
 //! `wcsph` adds only what that lacks of alpha. Water as such lacks nearly all of it (1e-6 m2/s), the viscous exact cases
@@ -82,7 +83,7 @@
 //! p_a + chi h c_0 drho_a/dt  in place of  p_a  in (3),   with drho/dt of (2)                     (5)
 //!
 //! It works on sound of wavelength l within some (l / h) / (20 chi) periods. `stretching_drop` at R/25 has its centre pressure off
-//! by 3.0 and 1.9 % rms at chi = 0.5 and 1 (largest 7.1 and 3.9 %); its axes and the 2D dam break do not feel it.
+//! by 3.0 and 1.8 % rms at chi = 0.5 and 1 (largest 7.1 and 4.2 %); its axes and the 2D dam break do not feel it.
 //!
 //! **Position Verlet** (Parshikov et al. 2000). With one neighbour search, at the middle,
 //!
