@@ -18,8 +18,8 @@ mod world;
 
 pub use world::{Running, abort, launch, start};
 
-use crate::particles::Vector;
 use crate::{Error, Result};
+use nalgebra::SMatrix;
 
 /// The ranks that share a simulation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -195,8 +195,8 @@ impl Packed for bool {
     }
 }
 
-impl<const D: usize> Packed for Vector<D> {
-    const WIDTH: usize = D;
+impl<const R: usize, const C: usize> Packed for SMatrix<f64, R, C> {
+    const WIDTH: usize = R * C;
     fn pack(&self, message: &mut Vec<f64>) {
         message.extend(self.iter());
     }
@@ -208,6 +208,7 @@ impl<const D: usize> Packed for Vector<D> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::particles::Vector;
 
     fn round_trip<T: Packed + PartialEq + std::fmt::Debug>(value: T) {
         let mut message = vec![];

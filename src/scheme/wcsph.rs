@@ -44,28 +44,24 @@
 //!
 //! S = det(M)^(1/D) M^-1:   drho_a/dt = sum_b m v_ab . S_a grad W,   dv_a/dt = g - sum_b m (S_a p_a / rho_a^2 + S_b p_b / rho_b^2 + Pi_ab) grad W   (6)
 //!
-//! with S = 1 for walls and, gradually, in supports as poor as spray's ([`Moments::shape_correction`]). The two stay each other's adjoint (Bonet &
+//! with S = 1 beside solids and, gradually, in supports as poor as spray's ([`Moments::shape_correction`]). The two stay each other's adjoint (Bonet &
 //! Lok 1999, Comput. Methods Appl. Mech. Eng. 180, 97-115, with M^-1 for S), so momentum and energy are kept as before. M^-1 itself would take
 //! from a cluster of few particles the only word that it has of its density, how full its support is: in the splash of the 2D dam break ten and
-//! more particles collapsed to a third of a spacing. det S = 1 leaves that in. A step takes a quarter longer. Without and with (6):
+//! more particles collapsed to a third of a spacing. det S = 1 leaves that in. Beside walls, whose pressures are not part of the adjoint, films under tension
+//! gained energy with S. A step takes a quarter longer. Without and with (6):
 //!
 //! | | without | with |
 //! |---|---|---|
-//! | `standing_wave` at 0.05 m: period, damping off by | 0.8, 38 % | 0.3, 23 % |
-//! | the same at 0.04 m | 1.0, 17 % | 0.1, 11 % |
-//! | `stretching_drop`, its variant `regular`, at R/25 and R/50: centre pressure, rms | 9, 12 % | 1.8, 2.5 % |
-//! | 2D dam break at 0.01 m: front at the wall | 0.308 s | 0.312 to 0.316 s |
+//! | `standing_wave` at 0.05 m: period, damping off by | 0.8, 38 % | 0.3, 27 % |
+//! | the same at 0.04 m | 1.0, 17 % | 0.3, 11 % |
+//! | `stretching_drop`, its variant `regular`, at R/25: centre pressure, rms | 9 % | 1.8 % |
+//! | 2D dam break at 0.01 m, six runs to 1.5 s with slightly other steps: largest energy rises | 0.2 to 7.8 % | 0.3 to 10.5 %, five of them below 0.5 % |
 //!
-//! In 3D, on rows as narrow as there, (6) does harm: in the dam break on a box at 0.0366 m the flood meets the front of the box at 0.430 instead of
-//! 0.418 s (measured 0.393), at 0.425 s if only supports above 0.75 are corrected, and the energy rises by 1 instead of 0.1 %.
+//! In 3D, on rows as narrow as there, (6) does harm: in the dam break on a box at 0.0366 m the flood meets the front of the box at 0.425 to 0.430 instead of
+//! 0.418 s (measured 0.393).
 //!
 //! **Smoothing length.** With h / dx = 1.2 and 1.5 in place of 2 the damping of `standing_wave` at 0.05 m is several times too strong and twice as far
 //! off; a row grows with (h / dx)^D, the step with h. In 3D, where rows would be 4.6 times as long, h / dx stays 1.2 unless a case asks for more.
-//!
-//! **Tension.** A wall has no negative pressure: it may hold liquid back but not hold on to it. Nor does p_a < 0 of liquid at a wall count
-//! in (3): drawn by one half of the pair force and held off by the repulsion, films of such liquid gained energy, and two particles
-//! drove a body as light as they were from 3 to 24 m/s. Single splashes still gain energy: three runs of the 2D dam break to 1.5 s at 0.01 m, which differ in
-//! their Courant numbers by a few per cent, rise by 0.5 to 3.6 %; six with the pull and without (6) by 0.2 to 7.8 %.
 //!
 //! **Viscosity.** alpha is there to calm particles. A laminar viscosity of the central form is an alpha of 2 (D + 2) nu / (c_0 h):
 //! `wcsph` adds only what that lacks of alpha. Water as such lacks nearly all of it (1e-6 m2/s), the viscous exact cases
@@ -219,7 +215,7 @@ pub struct Wcsph<const D: usize> {
     surface: Vec<f64>,
     crowding: Vec<f64>,
     moments: Vec<Moments<D>>,
-    /// S of Eq. (6), of liquid and of all ghosts; not kept up where nothing is corrected.
+    /// S of Eq. (6); not kept up where nothing is corrected.
     shape: Vec<Matrix<D>>,
     /// Pressure gradients in Pa/m.
     slope: Vec<Vector<D>>,
@@ -406,7 +402,7 @@ impl<const D: usize> Wcsph<D> {
                         let pair = |(b, _, f): (usize, f64, f64)| {
                             (f * (r_a - position[b])) * (v_a - velocity[b]).transpose()
                         };
-                        (shape[k] * row.iter().map(pair).sum::<Matrix<D>>()).trace()
+                        (shape[a] * row.iter().map(pair).sum::<Matrix<D>>()).trace()
                     }
                     None => {
                         let pair =
@@ -520,9 +516,24 @@ impl<const D: usize> Wcsph<D> {
             self.measure(particles);
         }
         if corrected {
-            let liquid = self.moments[particles.solids()..].par_iter().with_min_len(256);
-            liquid.map(Moments::shape_correction).collect_into_vec(&mut self.shape);
+            self.shape(particles);
         }
+    }
+
+    /// S of Eq. (6), the identity beside solids.
+    fn shape(&mut self, particles: &Particles<D>) {
+        let (mut shape, first) = (std::mem::take(&mut self.shape), particles.solids());
+        shape.resize(particles.len(), Matrix::identity());
+        let (neighbors, moments) = (&self.neighbors, &self.moments);
+        shape[particles.fluid()].par_iter_mut().enumerate().with_min_len(256).for_each(|(k, shape)| {
+            let a = first + k;
+            *shape = match neighbors.row(a).split().1.index {
+                [] => moments[a].shape_correction(),
+                _ => Matrix::identity(),
+            };
+        });
+        self.halo.refresh(particles.originals(), &mut shape);
+        self.shape = shape;
     }
 
     /// Moments of the support of all liquid.
@@ -752,8 +763,7 @@ impl Pairs {
     ) {
         let (r_a, v_a) = (particles.position[a], particles.velocity[a]);
         let (push_a, density_a) = (scheme.own_push(a), scheme.density[a]);
-        let first = particles.solids();
-        let stress_a = if CORRECTED { push_a * scheme.shape[a - first] } else { Matrix::zeros() };
+        let stress_a = if CORRECTED { push_a * scheme.shape[a] } else { Matrix::zeros() };
         let (mut pair, mut sums) = (Block::<D>::default(), Block::<D>::default());
         for (index, f) in row.blocks() {
             for (k, &b) in index.iter().enumerate() {
@@ -765,7 +775,7 @@ impl Pairs {
                 pair.push[k] = scheme.push[b];
                 pair.excess[k] = excess(scheme, a, b, &r_ab);
                 if CORRECTED {
-                    let shape = &scheme.shape[b - first];
+                    let shape = &scheme.shape[b];
                     for d in 0..D {
                         (0..D).for_each(|e| pair.stress[d][e][k] = pair.push[k] * shape[(d, e)]);
                     }
@@ -796,7 +806,7 @@ impl Pairs {
         rates.filling += sum(&sums.push);
     }
 
-    /// Eqs. (2) and (6) over walls that carry a pressure; where liquid slips, they exert no viscous force.
+    /// Eqs. (2) and (3) over walls that carry a pressure; where liquid slips, they exert no viscous force.
     #[inline]
     fn add_walls<const D: usize>(
         &self,
@@ -807,10 +817,7 @@ impl Pairs {
         rates: &mut Rates<D>,
     ) {
         let (r_a, v_a, push_a) = (particles.position[a], particles.velocity[a], scheme.own_push(a));
-        // Under tension liquid is not held: walls have no pressure there, and what one force of a pair draws the other has to give back.
-        let own = if scheme.has_surface { push_a.max(0.0) } else { push_a };
-        let shape =
-            if scheme.is_corrected() { scheme.shape[a - particles.solids()] } else { Matrix::identity() };
+        let tension = scheme.has_surface && push_a < 0.0;
         for (b, _, f) in row.iter() {
             let r_ab = r_a - particles.position[b];
             let v_ab = v_a - particles.velocity[b];
@@ -818,9 +825,12 @@ impl Pairs {
             let original = particles.original(b);
             let difference = viscosity::wall_factor(particles, original, &r_ab, self.slip) * v_ab;
             let viscous = self.viscosity.of(difference.dot(&r_ab), square, scheme.density[a]);
-            let push = self.mass * (scheme.push[b] + viscous);
-            let own_push = (self.mass * own) * (shape * r_ab);
-            rates.acceleration += f * (self.laminar * difference - push * r_ab - own_push);
+            // Walls of bodies have no pressure where liquid is under tension, so it does not pull the body. Nor may the body pull it:
+            // the two would run away, the liquid drawn to the body and the body driven by its repulsion.
+            let is_pulled = tension && scheme.afloat.bodies.free(original).is_some();
+            let own = if is_pulled { 0.0 } else { push_a };
+            let push = self.mass * (own + scheme.push[b] + viscous);
+            rates.acceleration += f * (self.laminar * difference - push * r_ab);
             rates.continuity += self.mass * f * approach;
         }
     }
