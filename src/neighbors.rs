@@ -343,6 +343,13 @@ impl<const D: usize> Neighbors<D> {
         }
     }
 
+    /// Whether particle `a` has solid neighbours.
+    #[inline]
+    pub fn has_solids(&self, a: usize) -> bool {
+        let (chunk, k) = (&self.chunks[a / CHUNK], a % CHUNK);
+        chunk.start[k] + (chunk.liquid[k] as usize) < chunk.start[k + 1]
+    }
+
     /// Number of listed pairs (each direction counted).
     pub fn pairs(&self) -> usize {
         self.chunks.iter().filter_map(|chunk| chunk.start.last()).sum()

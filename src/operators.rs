@@ -157,7 +157,7 @@ impl<const D: usize> Moments<D> {
     /// How full the support is, from 0 to D, with no direction making up for another: D det(M)^(1/D). It is div r where all
     /// directions are alike, and less elsewhere.
     pub fn filling(&self) -> f64 {
-        D as f64 * inverse(&self.matrix).1.max(0.0).powf(1.0 / D as f64)
+        D as f64 * fullness::<D>(inverse(&self.matrix).1)
     }
 
     /// What makes sums over the support see a pure strain as one: det(M)^(1/D) M^-1 in a good support, the identity in a poor one.
@@ -166,7 +166,7 @@ impl<const D: usize> Moments<D> {
     /// density. With B_a itself such clusters collapse.
     pub fn shape_correction(&self) -> Matrix<D> {
         let (inverse, determinant) = inverse(&self.matrix);
-        let fullness = determinant.max(0.0).powf(1.0 / D as f64);
+        let fullness = fullness::<D>(determinant);
         let [poor, good] = SHAPED;
         let share = ((fullness - poor) / (good - poor)).clamp(0.0, 1.0);
         if share > 0.0 {
@@ -182,6 +182,11 @@ impl<const D: usize> Moments<D> {
         let (inverse, determinant) = inverse(&self.matrix);
         (determinant > SMALLEST_DETERMINANT).then_some(inverse)
     }
+}
+
+/// det(M)^(1/D), 1 in a full support, of the determinant.
+fn fullness<const D: usize>(determinant: f64) -> f64 {
+    determinant.max(0.0).powf(1.0 / D as f64)
 }
 
 /// Inverse and determinant of a 2 x 2 or 3 x 3 matrix by cofactors.

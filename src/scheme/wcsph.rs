@@ -527,9 +527,9 @@ impl<const D: usize> Wcsph<D> {
         let (neighbors, moments) = (&self.neighbors, &self.moments);
         shape[particles.fluid()].par_iter_mut().enumerate().with_min_len(256).for_each(|(k, shape)| {
             let a = first + k;
-            *shape = match neighbors.row(a).split().1.index {
-                [] => moments[a].shape_correction(),
-                _ => Matrix::identity(),
+            *shape = match neighbors.has_solids(a) {
+                true => Matrix::identity(),
+                false => moments[a].shape_correction(),
             };
         });
         self.halo.refresh(particles.originals(), &mut shape);
@@ -690,7 +690,9 @@ impl<const D: usize> Wcsph<D> {
             let solid = self.neighbors.row(a).split().1;
             solid.iter().map(|(b, ..)| of_pair(a, b)).sum::<f64>()
         };
-        self.params.mass() * particles.fluid().map(of).sum::<f64>()
+        // Most liquid has none: their rows need not be looked at.
+        let beside_solids = particles.fluid().filter(|a| self.neighbors.has_solids(*a));
+        self.params.mass() * beside_solids.map(of).sum::<f64>()
     }
 
     /// Bodies in the middle of the step. Dummies feel prescribed accelerations only: from the last step's, a body lighter than the
