@@ -7,12 +7,16 @@
 //! | volume | mean kernel volume of the liquid's inside, over that of the lattice, minus 1 | [`SAMPLE`] steps | 10 % | |
 //! | density | largest kernel density (`wcsph`: density) of the inside over that of the lattice, minus 1 | [`SAMPLE`] steps | 50 % | |
 //! | divergence | rms of div v of the inside, times the spacing, over U | [`SAMPLE`] steps | 50 % | |
+//! | roughness | rms of the pressure's distance from a plane through its neighbours, over the rms pressure; mean over the run | [`SAMPLE`] steps | | |
 //!
 //! E = M U^2 / 2 is the energy of the liquid of mass M at its start, the potential one above the lowest particle of the scene: no flow
 //! has more of it to turn into motion, unless it is put in. The work done on the liquid is that of a shaken tank, -M a . v, and of moving bodies, the
 //! opposite of what the liquid does on them. Compressed liquid (`wcsph`) has elastic energy too, and liquid near a wall that repels
 //! it the potential of that force. Particles that leave take theirs along. Bounds warn once; where they are exceeded a bound half or
 //! twice as large would have warned in nearly the same runs, since flows of good steps stay below a fifth of them.
+//!
+//! The roughness tells how noisy a scheme's pressures are from particle to particle: for p_a - sum_b W_ab (p_b + r_ab . grad p) / sum_b W_ab,
+//! with the exact gradient of [`crate::operators`], any linear pressure gives zero. Only particles of the inside without solid neighbours count.
 //!
 //! Values that are not finite and speeds out of reach are found in every step by [`crate::simulation`], as are particles behind walls.
 
@@ -51,6 +55,10 @@ pub struct Invariants<const D: usize> {
     pub density: f64,
     /// Largest rms of the divergence, times spacing over U.
     pub divergence: f64,
+    /// Roughness of the pressure, mean of the samples so far.
+    pub roughness: f64,
+    /// How many samples had a pressure.
+    samples: f64,
     /// Momentum in kg m/s that gravity should have led to.
     expected: Vector<D>,
     /// U in m/s.
@@ -70,6 +78,8 @@ impl<const D: usize> Default for Invariants<D> {
             volume: 0.0,
             density: 0.0,
             divergence: 0.0,
+            roughness: 0.0,
+            samples: 0.0,
             expected: Vector::zeros(),
             speed: 0.0,
             mass: 0.0,
@@ -182,7 +192,7 @@ impl<const D: usize> Invariants<D> {
         whole > 0.0 && now - lowest > ENERGY[0] * whole && now - before.energy.now > JUMP * whole
     }
 
-    /// Volume, density and divergence of the liquid's inside.
+    /// Volume, density, divergence and roughness of the liquid's inside.
     fn sample(&mut self, particles: &Particles<D>, scheme: &dyn Scheme<D>) {
         let (fields, params) = (scheme.fields(), scheme.params());
         let surroundings = Surroundings {
@@ -192,6 +202,7 @@ impl<const D: usize> Invariants<D> {
             volume: params.volume(),
         };
         let (mut count, mut volume, mut square) = (0.0, 0.0, 0.0);
+        let (mut rough, mut pressure) = (0.0, 0.0);
         let mut density = 0.0_f64;
         for a in particles.fluid() {
             if fields.surface.get(a).is_none_or(|s| *s > 0.0)
@@ -199,14 +210,21 @@ impl<const D: usize> Invariants<D> {
             {
                 continue;
             }
-            let divergence = surroundings.divergence(a, &particles.velocity, &surroundings.moments(a));
+            let moments = surroundings.moments(a);
+            let divergence = surroundings.divergence(a, &particles.velocity, &moments);
+            if !fields.neighbors.has_solids(a)
+                && let Some(distance) = surroundings.distance_from_plane(a, &particles.pressure, &moments)
+            {
+                rough += distance * distance;
+                pressure += particles.pressure[a].powi(2);
+            }
             count += 1.0;
             volume += 1.0 / fields.crowding[a];
             square += divergence * divergence;
             density = density.max((fields.crowding[a] - 1.0).abs());
         }
-        let sums = params.ranks.sums(&[count, volume, square]);
-        let &[count, volume, square] = &sums[..] else { return };
+        let sums = params.ranks.sums(&[count, volume, square, rough, pressure]);
+        let &[count, volume, square, rough, pressure] = &sums[..] else { return };
         self.density = self.density.max(params.ranks.max(density));
         if count > 0.0 {
             let change = volume / count - 1.0;
@@ -214,6 +232,10 @@ impl<const D: usize> Invariants<D> {
                 self.volume = change;
             }
             self.divergence = self.divergence.max((square / count).sqrt() * params.spacing / self.speed);
+        }
+        if pressure > 0.0 {
+            self.samples += 1.0;
+            self.roughness += ((rough / pressure).sqrt() - self.roughness) / self.samples;
         }
     }
 
@@ -264,6 +286,8 @@ impl<const D: usize> Invariants<D> {
             self.volume,
             self.density,
             self.divergence,
+            self.roughness,
+            self.samples,
             self.speed,
             self.mass,
         ];
@@ -273,13 +297,37 @@ impl<const D: usize> Invariants<D> {
     /// Back from [`state`](Self::state); `None` if it is none.
     pub fn from_state(state: &[f64]) -> Option<Self> {
         let (
-            &[initial, now, lowest, largest_rise, input, momentum, volume, density, divergence, speed, mass],
+            &[
+                initial,
+                now,
+                lowest,
+                largest_rise,
+                input,
+                momentum,
+                volume,
+                density,
+                divergence,
+                roughness,
+                samples,
+                speed,
+                mass,
+            ],
             expected,
         ) = state.split_first_chunk()?;
         let expected: &[f64; D] = expected.try_into().ok()?;
-        let energy = Energy { initial, now, lowest, largest_rise, input };
-        let expected = Vector::from_column_slice(expected);
-        Some(Self { energy, momentum, volume, density, divergence, speed, mass, expected, ..Self::default() })
+        Some(Self {
+            energy: Energy { initial, now, lowest, largest_rise, input },
+            momentum,
+            volume,
+            density,
+            divergence,
+            roughness,
+            samples,
+            speed,
+            mass,
+            expected: Vector::from_column_slice(expected),
+            ..Self::default()
+        })
     }
 }
 

@@ -87,6 +87,18 @@ impl<'a, const D: usize> Surroundings<'a, D> {
         self.active(a).map(|(b, r_ab, vf)| (vf * (field[b] + q_a)) * r_ab).sum()
     }
 
+    /// Kernel mean of q_a - q_b - r_ab . grad q with the exact gradient: how far q_a is from a plane through its neighbours. `None` where the
+    /// support has no exact gradient.
+    pub fn distance_from_plane(&self, a: usize, field: &[f64], moments: &Moments<D>) -> Option<f64> {
+        let gradient = moments.correction()? * self.difference_gradient(a, field);
+        let (q_a, r_a) = (field[a], self.position[a]);
+        let row = self.neighbors.row(a).iter().filter(|(b, ..)| self.active[*b]);
+        let (sum, weights) = row.fold((0.0, 0.0), |(sum, weights), (b, w, _)| {
+            (sum + w * (q_a - field[b] - gradient.dot(&(r_a - self.position[b]))), weights + w)
+        });
+        Some(sum / weights)
+    }
+
     /// Laplacian of Shao & Lo (2003): sum_b 2 V F (q_a - q_b).
     pub fn laplacian(&self, a: usize, field: &[f64]) -> f64 {
         let q_a = field[a];

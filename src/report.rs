@@ -97,6 +97,7 @@ impl<const D: usize> Report<'_, D> {
                 "divergence_percent": 100.0 * self.invariants.divergence,
                 "momentum_percent": 100.0 * self.invariants.momentum,
             },
+            "pressure_roughness": self.invariants.roughness,
             "clipped_pressures": t.clipped,
             "collisions": t.collisions,
             "retried_steps": t.retries,
@@ -167,10 +168,11 @@ impl<const D: usize> fmt::Display for Report<'_, D> {
         line(
             "strayed",
             format!(
-                "volume {:+.2} %, density up to {:.1} %, divergence {:.2} % of speed over spacing",
+                "volume {:+.2} %, density up to {:.1} %, divergence {:.2} % of speed over spacing, pressure rough by {:.2} %",
                 100.0 * i.volume,
                 100.0 * i.density,
-                100.0 * i.divergence
+                100.0 * i.divergence,
+                100.0 * i.roughness
             ),
         )?;
         if t.clipped + t.collisions > 0 {

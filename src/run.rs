@@ -449,7 +449,7 @@ fn scheme<const D: usize>(
     }
     let solvers = solvers(args, particles.fluid().len(), params.ranks)?;
     let described = solvers.0.describe();
-    Ok((Box::new(Isph::new(params.clone(), build::isph(case), particles, solvers)), described))
+    Ok((Box::new(Isph::new(params.clone(), build::isph(case, scene), particles, solvers)), described))
 }
 
 /// Whether the scheme solves no pressure system; options for one are then errors.
@@ -675,10 +675,10 @@ fn derived<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<String> {
         line("solver", solver.replace('\n', "\n              "));
     }
     let fall = particles.fluid().map(|a| particles.position[a][D - 1]).fold(0.0, f64::max);
-    let speed = (2.0 * params.gravity.norm() * fall).sqrt();
+    let speed = (2.0 * params.gravity.norm() * fall + build::fastest(particles).powi(2)).sqrt();
     let limit = match &explicit {
         Some(method) => method.dt_limit(params, speed, 0.0),
-        None => build::isph(case).dt_limit(params, speed, 0.0),
+        None => build::isph(case, &scene).dt_limit(params, speed, 0.0),
     };
     let dt = case.time.step.unwrap_or(limit.min(case.time.step_max.unwrap_or(case.time.until)));
     let steps = (case.time.until / dt).ceil();

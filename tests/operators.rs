@@ -120,6 +120,7 @@ in_2d_and_3d! {
     pairs_know_each_other: pair_symmetry,
     the_top_row_is_the_surface: surface_of_a_lattice,
     still_water_is_an_exact_solution: still_water,
+    a_peak_stands_above_a_plane: rough_field,
 }
 
 fn linear_laplacian<const D: usize>() {
@@ -149,7 +150,30 @@ fn linear_gradient<const D: usize>() {
         let error = b * water.around().difference_gradient(a, &p) - slope::<D>();
         // B amplifies round-off (1e-16 p / dx = 1e-14) by less than ten.
         assert!(error.norm() < 1e-12, "particle {a}: {error}");
+        let distance = water.around().distance_from_plane(a, &p, &water.moments[a]).unwrap();
+        assert!(distance.abs() < 1e-12, "particle {a}: {distance} off the plane");
     }
+}
+
+fn rough_field<const D: usize>() {
+    // On a lattice a peak of one particle stands above a plane by its height, its neighbours below one by their share of it.
+    let water = Water::<D>::free(0.0);
+    let middle = water.particles.fluid().min_by(|&a, &b| {
+        let off = |a: usize| (water.particles.position[a] - Vector::repeat(0.2)).norm();
+        off(a).total_cmp(&off(b))
+    });
+    let peak = middle.unwrap();
+    let mut p = water.field(|_| 5.0);
+    p[peak] += 2.0;
+    let around = water.around();
+    let distance = |a: usize| around.distance_from_plane(a, &p, &water.moments[a]).unwrap();
+    assert!((distance(peak) - 2.0).abs() < 1e-12, "{}", distance(peak));
+    let row = water.neighbors.row(peak);
+    let nearest = row.iter().map(|(b, ..)| b).min_by(|&a, &b| {
+        let off = |a: usize| (water.particles.position[a] - water.particles.position[peak]).norm();
+        off(a).total_cmp(&off(b))
+    });
+    assert!((-1.0..-0.05).contains(&distance(nearest.unwrap())));
 }
 
 fn pair_forces<const D: usize>() {

@@ -34,7 +34,7 @@ fn save_systems(folder: &Path) -> Vec<PathBuf> {
     let inner = PressureSolver::new(session.clone(), scene.particles.fluid().len()).unwrap();
     let solvers =
         (Box::new(Recorder::new(Box::new(inner))) as _, Box::new(VelocitySolver::new(session)) as _);
-    let scheme = Isph::new(scene.params.clone(), build::isph(&case), &scene.particles, solvers);
+    let scheme = Isph::new(scene.params.clone(), build::isph(&case, &scene), &scene.particles, solvers);
     let control = StepControl { fixed: None, largest: f64::INFINITY };
     let (gravity, support) = (scene.params.gravity, scene.params.support());
     let mut simulation =

@@ -39,6 +39,11 @@ fn layers(dimension: usize, support_in_spacings: f64) -> usize {
     (dimension + 1).max(1 + support_in_spacings.floor() as usize)
 }
 
+/// Largest speed of the liquid in m/s.
+pub fn fastest<const D: usize>(particles: &Particles<D>) -> f64 {
+    particles.fluid().map(|a| particles.velocity[a].norm()).fold(0.0, f64::max)
+}
+
 /// Builds the scene of a case whose dimension is `D`.
 pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
     let lattice = Lattice::new(&shapes(case), case.spacing);
@@ -112,16 +117,15 @@ fn params<const D: usize>(case: &CaseFile, tank: Option<&TankShape<D>>) -> Param
 }
 
 /// The ISPH method of a case.
-pub fn isph(case: &CaseFile) -> isph::Method {
+pub fn isph<const D: usize>(case: &CaseFile, scene: &Scene<D>) -> isph::Method {
     let SchemeParams { collision_distance, collision_restitution, .. } = case.scheme;
-    // At the start: of waves on its surface, or of liquid that is fast already.
+    // At the start: of waves on its surface, or of liquid that is fast already. Where nothing moves or falls none is too long.
     let longest_step = match case.time.step {
         Some(_) => 0.0,
         None => {
-            let speed = |block: &FluidBlock| block.velocity.iter().map(|v| v * v).sum::<f64>().sqrt();
-            let fastest = case.fluid.blocks.iter().map(speed).fold(0.0, f64::max);
-            let of_waves = isph::longest_step(case.scheme.smoothing_ratio * case.spacing, &case.gravity);
-            of_waves.min(case.time.courant * case.spacing / fastest)
+            let of_waves = isph::longest_step(&scene.params);
+            let longest = of_waves.min(case.time.courant * case.spacing / fastest(&scene.particles));
+            if longest.is_finite() { longest } else { 0.0 }
         }
     };
     isph::Method {
@@ -161,7 +165,7 @@ pub fn wcsph<const D: usize>(case: &CaseFile, scene: &Scene<D>) -> wcsph::Method
     let Scene { particles, params, .. } = scene;
     let scheme = &case.scheme;
     let gravity = params.gravity.norm();
-    let (mut lowest, mut highest, mut speed) = (0.0, f64::NEG_INFINITY, 0.0_f64);
+    let (mut lowest, mut highest) = (0.0, f64::NEG_INFINITY);
     for a in particles.fluid() {
         // Potential energy per mass, divided by g below: height along gravity, whatever its direction.
         let height = -params.gravity.dot(&particles.position[a]);
@@ -170,10 +174,10 @@ pub fn wcsph<const D: usize>(case: &CaseFile, scene: &Scene<D>) -> wcsph::Method
         } else {
             (height.min(lowest), height.max(highest))
         };
-        speed = speed.max(particles.velocity[a].norm());
     }
     let depth = if gravity > 0.0 { (highest - lowest) / gravity + params.spacing } else { 0.0 };
     // 2 sqrt(g H): the front of a dam break (Ritter 1892).
+    let speed = fastest(particles);
     let expected = 2.0 * (gravity * depth).sqrt() + speed;
     let plain = scheme.kind == SchemeKind::WcsphMonaghan;
     let sound_speed = scheme.sound_speed.unwrap_or(SOUND_RATIO * expected);

@@ -94,6 +94,10 @@ fn figures(summary: &Value, case: &CaseFile) -> Vec<(String, String)> {
             number(&["energy", "largest_rise_of_initial"]).map(|e| format!("{:.3} %", 100.0 * e)),
         ),
         (
+            "roughness of the pressure",
+            number(&["pressure_roughness"]).map(|rough| format!("{:.2} %", 100.0 * rough)),
+        ),
+        (
             "density variation",
             number(&["compressibility", "largest_density_variation"]).map(|d| format!("{:.2} %", 100.0 * d)),
         ),
@@ -107,9 +111,16 @@ fn verdict(summary: &Value, mut notes: Vec<String>) -> Option<Section> {
     let list = |key: &str| summary[key].as_array().map(Vec::as_slice).unwrap_or_default();
     let percent = |value: &Value| json!(value.as_f64().map(|share| 100.0 * share));
     let mut parts = vec![];
-    let mut add = |head: &[&str], rows: Vec<Vec<Value>>| {
+    let mut add = |head: &[&str], mut rows: Vec<Vec<Value>>| {
+        // A column that no row fills would only push the others out of sight.
+        let kept: Vec<bool> = (0..head.len()).map(|k| rows.iter().any(|row| !row[k].is_null())).collect();
+        for row in &mut rows {
+            let mut is_kept = kept.iter();
+            row.retain(|_| is_kept.next() == Some(&true));
+        }
         if !rows.is_empty() {
-            let head = head.iter().map(|name| (*name).to_owned()).collect();
+            let head = head.iter().zip(&kept).filter(|(_, kept)| **kept);
+            let head = head.map(|(name, _)| (*name).to_owned()).collect();
             parts.push(Part::Table(Table { head, rows, bars: None, links: vec![] }));
         }
     };
@@ -208,7 +219,7 @@ fn gauges(folder: &Path, references: &References) -> Result<Vec<Plot>> {
 fn histories(folder: &Path, references: &References) -> Result<Vec<Plot>> {
     let all: [(&str, &str, &[&str]); 8] = [
         ("history.csv", "energy", &ENERGIES),
-        ("history.csv", "kernel volume over that of the lattice", &["kernel_volume"]),
+        ("history.csv", "kernel volume (lattice: 1)", &["kernel_volume"]),
         ("history.csv", "front", &["front_m"]),
         ("history.csv", "fastest particle", &["fastest_m_per_s"]),
         ("history.csv", "largest pressure", &["pressure_max_pa"]),

@@ -59,10 +59,9 @@ pub struct Method {
     pub courant: f64,
 }
 
-/// Longest step in s that waves of gravity in m/s2 allow; 0 without gravity, which sets none.
-pub fn longest_step(smoothing_length: f64, gravity: &[f64]) -> f64 {
-    let square: f64 = gravity.iter().map(|g| g * g).sum();
-    if square > 0.0 { GRAVITY_WAVE_NUMBER * (smoothing_length / square.sqrt()).sqrt() } else { 0.0 }
+/// Longest step in s that waves on the surface allow; without gravity there are none.
+pub fn longest_step<const D: usize>(params: &Params<D>) -> f64 {
+    GRAVITY_WAVE_NUMBER * (params.smoothing_length() / params.gravity.norm()).sqrt()
 }
 
 impl Method {
@@ -72,7 +71,7 @@ impl Method {
         let limits = [
             self.courant * params.spacing / speed,
             ACCELERATION_NUMBER * (h / acceleration).sqrt(),
-            GRAVITY_WAVE_NUMBER * (h / params.gravity.norm()).sqrt(),
+            longest_step(params),
         ];
         // A limit that is not there divides by zero: infinite.
         let limit = limits.into_iter().fold(f64::INFINITY, f64::min);

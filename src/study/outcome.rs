@@ -57,8 +57,8 @@ impl<'a> Outcome<'a> {
 }
 
 /// Every error measure of a summary: differences from exact solutions (`NAME_rms`, `NAME_max`) and from measured series
-/// (`NAME_rms`, `NAME_largest`), relative errors of arrival times, and the largest rise of the energy, which
-/// every run has.
+/// (`NAME_rms`, `NAME_largest`), relative errors of arrival times, and what every run has: the roughness of its pressures and the
+/// largest rise of the energy.
 fn errors(summary: &Value) -> Vec<(String, f64)> {
     let list = |key: &str| summary[key].as_array().map(Vec::as_slice).unwrap_or_default();
     let mut found = Vec::new();
@@ -88,11 +88,12 @@ fn errors(summary: &Value) -> Vec<(String, f64)> {
         let quantity = entry["quantity"].as_str().unwrap_or("quantity");
         add(format!("{quantity}_arrival"), error.map(|(time, expected)| late(time, expected)));
     }
+    add("pressure_roughness".into(), summary["pressure_roughness"].as_f64());
     add("energy_rise".into(), summary["energy"]["largest_rise_of_initial"].as_f64());
     found
 }
 
-/// Adds to each run its differences from the finest run of the same method, before the energy that every run has.
+/// Adds to each run its differences from the finest run of the same method, before the measures that every run has.
 ///
 /// # Errors
 /// [`crate::Error::Input`] for a table of a run that cannot be read.
@@ -111,7 +112,7 @@ pub fn compare_with_finest(outcomes: &mut [Outcome]) -> Result<()> {
         });
     }
     for (outcome, found) in outcomes.iter_mut().zip(found) {
-        let at = outcome.errors.len().saturating_sub(1);
+        let at = outcome.errors.len().saturating_sub(2);
         outcome
             .errors
             .splice(at..at, found.into_iter().map(|(name, value)| (format!("finest_{name}"), value)));
@@ -154,6 +155,7 @@ mod tests {
             "errors": [{"name": "height", "rms": 0.1, "max": 0.3}, {"name": "pressure", "rms": 0.2, "max": null}],
             "references": [{"name": "mm", "rms": 0.4, "largest": 0.5, "values": 3}],
             "arrivals": [{"quantity": "front", "time_s": 0.3, "expected_time_s": 0.4}, {"time_s": null}],
+            "pressure_roughness": 0.03,
             "energy": {"largest_rise_of_initial": 0.002},
         });
         let found = errors(&summary);
@@ -165,6 +167,7 @@ mod tests {
             "mm_rms",
             "mm_largest",
             "front_arrival",
+            "pressure_roughness",
             "energy_rise",
         ];
         assert_eq!(names, wanted);

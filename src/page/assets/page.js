@@ -38,11 +38,12 @@ function show(page) {
 function table(part, place) {
   const body = element("tbody"), head = element("tr");
   const most = part.bars === null ? 0 : Math.max(...part.rows.map((row) => row[part.bars]));
+  const ofNumbers = part.head.map((_, column) => part.rows.every((cells) => cells[column] === null || typeof cells[column] === "number"));
   const rows = part.rows.map((cells, k) => {
     const row = element("tr");
     cells.forEach((cell, column) => {
       const isNumber = typeof cell === "number";
-      const made = element("td", { class: isNumber ? "number" : String(cell).length > 60 ? "long" : "word" }, cell === null ? "\u2013" : isNumber ? number(cell) : String(cell));
+      const made = element("td", { class: ofNumbers[column] ? "number" : String(cell).length > 60 ? "long" : "word" }, cell === null ? "\u2013" : isNumber ? number(cell) : String(cell));
       if (isNumber) made.title = cell;
       if (column === part.bars && most > 0) {
         made.classList.add("bar");

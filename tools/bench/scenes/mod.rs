@@ -12,7 +12,9 @@ pub const SPACE: &str = "still_water_3d";
 /// A built-in case as particles, and its ISPH method.
 pub fn scene<const D: usize>(name: &str) -> (Scene<D>, Method) {
     let case = case(name);
-    (build::scene(&case), build::isph(&case))
+    let scene = build::scene(&case);
+    let method = build::isph(&case, &scene);
+    (scene, method)
 }
 
 fn case(name: &str) -> CaseFile {
