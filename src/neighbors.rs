@@ -7,7 +7,6 @@
 use crate::kernel::{CubicSpline, Kernel, KernelKind, Quintic, Smoothing, WendlandC2};
 use crate::particles::{Particles, Vector};
 use rayon::prelude::*;
-use std::cmp::Ordering;
 use std::ops::Range;
 
 /// Which of the particles are solids, and which ghosts.
@@ -151,41 +150,22 @@ impl<const D: usize> CellList<D> {
         }
     }
 
-    /// Calls `visit` with each run of particle numbers and positions in the cells within `support` of `r`. Cells adjacent along the
-    /// last axis are adjacent in memory, so a run spans all of them; it is the shorter the farther aside its cells lie.
+    /// Calls `visit` with each run of particle numbers and positions in the cells around `r`. Cells adjacent along the
+    /// last axis are adjacent in memory, so a run spans all of them.
     #[inline]
-    fn around(&self, r: &Vector<D>, support: f64, mut visit: impl FnMut(&[u32], [&[f64]; D])) {
-        let Grid { min, inverse_width, extent, reach } = self.grid;
+    fn around(&self, r: &Vector<D>, mut visit: impl FnMut(&[u32], [&[f64]; D])) {
+        let Grid { extent, reach, .. } = self.grid;
         let at = self.grid.coordinates(r);
         let low: [usize; D] = std::array::from_fn(|d| at[d].saturating_sub(reach[d]));
         let high: [usize; D] = std::array::from_fn(|d| (at[d] + reach[d]).min(extent[d] - 1));
         let last = D - 1;
-        // Rounding must not cut off what is just inside.
-        let limit = support * support * (1.0 + 1e-9);
-        let along = |x: f64| (((x - min[last]) * inverse_width[last]) as usize).min(extent[last] - 1);
         let mut cell = low;
         loop {
-            let gap = |d: usize| {
-                let edge = |c: usize| min[d] + c as f64 / inverse_width[d];
-                match cell[d].cmp(&at[d]) {
-                    Ordering::Less => r[d] - edge(cell[d] + 1),
-                    Ordering::Equal => 0.0,
-                    Ordering::Greater => edge(cell[d]) - r[d],
-                }
-            };
-            let aside: f64 = (0..last).map(|d| gap(d) * gap(d)).sum();
-            if aside < limit {
-                let half = (limit - aside).sqrt();
-                let row = cell[..last].iter().zip(&extent).fold(0, |n, (c, extent)| n * extent + c);
-                let base = row * extent[last];
-                let (from, to) = (base + along(r[last] - half), base + along(r[last] + half));
-                let run = self.start[from] as usize..self.start[to + 1] as usize;
-                if !run.is_empty() {
-                    visit(
-                        &self.sorted[run.clone()],
-                        self.position.0.each_ref().map(|axis| &axis[run.clone()]),
-                    );
-                }
+            let row = cell[..last].iter().zip(&extent).fold(0, |n, (c, extent)| n * extent + c);
+            let base = row * extent[last];
+            let run = self.start[base + low[last]] as usize..self.start[base + high[last] + 1] as usize;
+            if !run.is_empty() {
+                visit(&self.sorted[run.clone()], self.position.0.each_ref().map(|axis| &axis[run.clone()]));
             }
             // Next row of cells: an odometer over all axes but the last.
             let Some(d) = (0..last).rev().find(|&d| cell[d] < high[d]) else { return };
@@ -333,17 +313,14 @@ impl<const D: usize> Neighbors<D> {
                 let mut liquid = 0;
                 if least < f64::INFINITY {
                     let at = (a, r_a);
-                    fluid_cells.around(r_a, support, |run, places| {
-                        end = chunk.gather(end, at, (run, places), limit);
-                    });
+                    fluid_cells.around(r_a, |run, places| end = chunk.gather(end, at, (run, places), limit));
                     chunk.weigh(before..end, smoothing);
                     liquid = end - before;
                     if least > 0.0 && chunk.kernel[before..end].iter().sum::<f64>() < least {
                         (end, liquid) = (before, 0);
                     } else if solids_see_solids || a >= first_fluid {
-                        solid_cells.around(r_a, support, |run, places| {
-                            end = chunk.gather(end, at, (run, places), limit);
-                        });
+                        solid_cells
+                            .around(r_a, |run, places| end = chunk.gather(end, at, (run, places), limit));
                         chunk.weigh(before + liquid..end, smoothing);
                     }
                 }
