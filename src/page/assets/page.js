@@ -67,7 +67,7 @@ function table(part, place) {
     head.append(cell);
   });
   body.append(...rows.map((one) => one.row));
-  place.append(element("div", { class: "scroll" }, element("table", {}, element("thead", {}, head), body)));
+  place.append(element("div", { class: "scroll" }, element("table", { class: part.head.length === 2 ? "pairs" : "wide" }, element("thead", {}, head), body)));
 }
 
 // Nothing comes last either way.
@@ -116,13 +116,18 @@ function draw(plot, card) {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => made.redraw());
 }
 
+// Beside each point, where there is room: a note that would run into another is left out.
 function notes(u, plot, data, ink) {
+  const high = 11 * devicePixelRatio, taken = [];
   u.ctx.save();
-  u.ctx.font = 11 * devicePixelRatio + "px system-ui, sans-serif";
+  u.ctx.font = high + "px system-ui, sans-serif";
   u.ctx.fillStyle = ink;
   plot.curves.forEach((curves) => curves.notes.forEach((note, k) => {
-    const x = u.valToPos(curves.x[k], "x", true), y = u.valToPos(curves.columns[0][k], "y", true);
-    u.ctx.fillText(note, x + 7 * devicePixelRatio, y - 6 * devicePixelRatio);
+    const x = u.valToPos(curves.x[k], "x", true) + 7 * devicePixelRatio, wide = u.ctx.measureText(note).width;
+    const y = u.valToPos(curves.columns[0][k], "y", true) - 6 * devicePixelRatio;
+    if (taken.some((other) => x < other.x + other.wide && other.x < x + wide && Math.abs(y - other.y) < high)) return;
+    taken.push({ x, y, wide });
+    u.ctx.fillText(note, x, y);
   }));
   u.ctx.restore();
 }
