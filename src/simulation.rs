@@ -253,6 +253,8 @@ impl<const D: usize> Simulation<D> {
                 return Err(self.located(wrong, dt));
             }
             log::debug!("{}: again, half as long", self.located(wrong, dt));
+            // The failing state took the place of the good one: a second failure must not lead back to it.
+            self.remember();
             (dt, retries) = (0.5 * dt, retries + 1);
         };
         self.caution = match retries {

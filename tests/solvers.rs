@@ -4,13 +4,16 @@
 //! process of its own: the test writes both systems to a file and starts its ignored twin with the options.
 #![cfg(feature = "petsc")]
 
+use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use sphpetsc::Error;
 use sphpetsc::case::{build, builtin, read};
 use sphpetsc::petsc::Session;
 use sphpetsc::ppe::solve::PressureSolver;
-use sphpetsc::ppe::{PressureSolve, recorder::Recorder, saved};
+use sphpetsc::ppe::{Needs, PressureSolve, PressureSystem, SolveRecord, recorder::Recorder, saved};
 use sphpetsc::scheme::isph::Isph;
 use sphpetsc::simulation::{Simulation, StepControl};
 use sphpetsc::terms::implicit_viscosity::VelocitySolver;
@@ -24,6 +27,77 @@ const OPTION_SETS: [&str; 7] = [
     "-ksp_type preonly -pc_type lu -pc_factor_mat_solver_type mumps",
     "-ksp_type gmres -pc_type hypre",
 ];
+
+/// A solver that gives up on three solves in a row.
+struct Reluctant {
+    inner: PressureSolver,
+    solves: Range<u32>,
+    done: u32,
+}
+
+impl PressureSolve for Reluctant {
+    fn needs(&self) -> Needs {
+        self.inner.needs()
+    }
+
+    fn check(&mut self, sample: &PressureSystem) -> Result<(), Error> {
+        self.inner.check(sample)
+    }
+
+    fn solve(&mut self, system: &mut PressureSystem) -> Result<SolveRecord, Error> {
+        self.done += 1;
+        match self.solves.contains(&self.done) {
+            true => Err(Error::Petsc("not now".into())),
+            false => self.inner.solve(system),
+        }
+    }
+
+    fn describe(&self) -> String {
+        self.inner.describe()
+    }
+
+    fn save(&self, system: &PressureSystem, folder: &Path, name: &str) -> Result<PathBuf, Error> {
+        self.inner.save(system, folder, name)
+    }
+}
+
+#[test]
+fn a_step_that_fails_again_and_again_starts_from_where_it_began() {
+    let case = read::read(
+        builtin::find("dam_break_2d").unwrap(),
+        "dam_break_2d",
+        &[("spacing".into(), "0.02".into())],
+    );
+    let case = case.unwrap();
+    let scene = build::scene::<2>(&case);
+    let session = Session::start(&[]).unwrap();
+    let inner = PressureSolver::new(session.clone(), scene.particles.fluid().len()).unwrap();
+    // The start solves once.
+    let solver = Reluctant { inner, solves: 42..45, done: 0 };
+    let solvers = (Box::new(solver) as _, Box::new(VelocitySolver::new(session)) as _);
+    let scheme = Isph::new(scene.params.clone(), build::isph(&case, &scene), &scene.particles, solvers);
+    let control = StepControl { fixed: None, largest: f64::INFINITY };
+    let (gravity, support) = (scene.params.gravity, scene.params.support());
+    let mut simulation =
+        Simulation::new(scene.particles, Box::new(scheme), control, scene.enclosure, gravity, support);
+    simulation.start().unwrap();
+    for _ in 0..40 {
+        simulation.advance().unwrap();
+    }
+    let by_id = |simulation: &Simulation<2>| -> BTreeMap<u64, _> {
+        let particles = &simulation.particles;
+        particles.fluid().map(|a| (particles.id[a], particles.position[a])).collect()
+    };
+    let (before, long) = (by_id(&simulation), simulation.dt);
+    simulation.advance().unwrap();
+    assert_eq!(simulation.totals.retries, 3);
+    assert!(simulation.dt < 0.2 * long, "{} after {long}", simulation.dt);
+    let speeds = simulation.particles.velocity.iter().map(|v| v.norm());
+    let reach = simulation.dt * speeds.fold(0.0, f64::max);
+    let moved = by_id(&simulation).iter().map(|(id, r)| (r - before[id]).norm()).fold(0.0, f64::max);
+    // What shifting adds is less than half of that.
+    assert!(moved < 1.5 * reach, "{moved} m in a step of {reach} m");
+}
 
 /// Saves pressure systems of the dam break, at 0.1 s and just after the front has hit the wall.
 fn save_systems(folder: &Path) -> Vec<PathBuf> {
