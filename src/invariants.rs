@@ -275,48 +275,31 @@ impl<const D: usize> Invariants<D> {
 
     /// As numbers, for checkpoints.
     pub fn state(&self) -> Vec<f64> {
-        let Energy { initial, now, lowest, largest_rise, input } = self.energy;
-        let numbers = [
+        let mut copy = *self;
+        copy.numbers().iter().map(|number| **number).chain(self.expected.iter().copied()).collect()
+    }
+
+    /// Back from [`state`](Self::state); `None` if it is none.
+    pub fn from_state(state: &[f64]) -> Option<Self> {
+        let mut invariants = Self::default();
+        let numbers = invariants.numbers();
+        let (found, expected) = state.split_at_checked(numbers.len())?;
+        numbers.into_iter().zip(found).for_each(|(number, found)| *number = *found);
+        let expected: &[f64; D] = expected.try_into().ok()?;
+        invariants.expected = Vector::from_column_slice(expected);
+        Some(invariants)
+    }
+
+    /// What a state holds before the expected momentum.
+    fn numbers(&mut self) -> [&mut f64; 13] {
+        let Energy { initial, now, lowest, largest_rise, input } = &mut self.energy;
+        let Self { momentum, volume, density, divergence, roughness, samples, speed, mass, .. } = self;
+        [
             initial,
             now,
             lowest,
             largest_rise,
             input,
-            self.momentum,
-            self.volume,
-            self.density,
-            self.divergence,
-            self.roughness,
-            self.samples,
-            self.speed,
-            self.mass,
-        ];
-        numbers.iter().chain(self.expected.iter()).copied().collect()
-    }
-
-    /// Back from [`state`](Self::state); `None` if it is none.
-    pub fn from_state(state: &[f64]) -> Option<Self> {
-        let (
-            &[
-                initial,
-                now,
-                lowest,
-                largest_rise,
-                input,
-                momentum,
-                volume,
-                density,
-                divergence,
-                roughness,
-                samples,
-                speed,
-                mass,
-            ],
-            expected,
-        ) = state.split_first_chunk()?;
-        let expected: &[f64; D] = expected.try_into().ok()?;
-        Some(Self {
-            energy: Energy { initial, now, lowest, largest_rise, input },
             momentum,
             volume,
             density,
@@ -325,9 +308,7 @@ impl<const D: usize> Invariants<D> {
             samples,
             speed,
             mass,
-            expected: Vector::from_column_slice(expected),
-            ..Self::default()
-        })
+        ]
     }
 }
 

@@ -186,6 +186,11 @@ impl<const D: usize> Particles<D> {
         self.flat.get(b)?.then(|| &self.normal[b])
     }
 
+    /// Largest speed of the liquid in m/s.
+    pub fn fastest_liquid(&self) -> f64 {
+        self.velocity[self.fluid()].iter().map(|v| v.norm()).fold(0.0, f64::max)
+    }
+
     /// Index range of wall particles.
     pub fn walls(&self) -> Range<usize> {
         0..self.walls

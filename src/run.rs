@@ -675,7 +675,7 @@ fn derived<const D: usize>(args: &RunArgs, case: &CaseFile) -> Result<String> {
         line("solver", solver.replace('\n', "\n              "));
     }
     let fall = particles.fluid().map(|a| particles.position[a][D - 1]).fold(0.0, f64::max);
-    let speed = (2.0 * params.gravity.norm() * fall + build::fastest(particles).powi(2)).sqrt();
+    let speed = (2.0 * params.gravity.norm() * fall + particles.fastest_liquid().powi(2)).sqrt();
     let limit = match &explicit {
         Some(method) => method.dt_limit(params, speed, 0.0),
         None => build::isph(case, &scene).dt_limit(params, speed, 0.0),

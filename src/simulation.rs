@@ -235,9 +235,10 @@ impl<const D: usize> Simulation<D> {
         // Fixed, or as long as stability and a steady growth allow.
         let mut dt = self.control.fixed.unwrap_or((self.caution * stable).min(GROWTH * self.dt));
         self.warn_of_long_step(dt, stable);
-        self.remember();
         let mut retries = 0;
         let (report, invariants) = loop {
+            // Each time: a failing state took the place of the good one, and a second failure must not lead back to it.
+            self.remember();
             // Steps that nothing mends must not become ever shorter.
             let may_retry =
                 self.control.fixed.is_none() && retries < RETRIES && 0.5 * dt >= LEAST_CAUTION * stable;
@@ -253,8 +254,6 @@ impl<const D: usize> Simulation<D> {
                 return Err(self.located(wrong, dt));
             }
             log::debug!("{}: again, half as long", self.located(wrong, dt));
-            // The failing state took the place of the good one: a second failure must not lead back to it.
-            self.remember();
             (dt, retries) = (0.5 * dt, retries + 1);
         };
         self.caution = match retries {

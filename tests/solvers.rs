@@ -61,26 +61,27 @@ impl PressureSolve for Reluctant {
     }
 }
 
-#[test]
-fn a_step_that_fails_again_and_again_starts_from_where_it_began() {
-    let case = read::read(
-        builtin::find("dam_break_2d").unwrap(),
-        "dam_break_2d",
-        &[("spacing".into(), "0.02".into())],
-    );
-    let case = case.unwrap();
+/// The dam break at a spacing in m, started, with a solver around PETSc's.
+fn dam_break(spacing: &str, wrap: impl FnOnce(PressureSolver) -> Box<dyn PressureSolve>) -> Simulation<2> {
+    let text = builtin::find("dam_break_2d").unwrap();
+    let case = read::read(text, "dam_break_2d", &[("spacing".into(), spacing.into())]).unwrap();
     let scene = build::scene::<2>(&case);
     let session = Session::start(&[]).unwrap();
     let inner = PressureSolver::new(session.clone(), scene.particles.fluid().len()).unwrap();
-    // The start solves once.
-    let solver = Reluctant { inner, solves: 42..45, done: 0 };
-    let solvers = (Box::new(solver) as _, Box::new(VelocitySolver::new(session)) as _);
+    let solvers = (wrap(inner), Box::new(VelocitySolver::new(session)) as _);
     let scheme = Isph::new(scene.params.clone(), build::isph(&case, &scene), &scene.particles, solvers);
     let control = StepControl { fixed: None, largest: f64::INFINITY };
     let (gravity, support) = (scene.params.gravity, scene.params.support());
     let mut simulation =
         Simulation::new(scene.particles, Box::new(scheme), control, scene.enclosure, gravity, support);
     simulation.start().unwrap();
+    simulation
+}
+
+#[test]
+fn a_step_that_fails_again_and_again_starts_from_where_it_began() {
+    // The start solves once.
+    let mut simulation = dam_break("0.02", |inner| Box::new(Reluctant { inner, solves: 42..45, done: 0 }));
     for _ in 0..40 {
         simulation.advance().unwrap();
     }
@@ -101,19 +102,7 @@ fn a_step_that_fails_again_and_again_starts_from_where_it_began() {
 
 /// Saves pressure systems of the dam break, at 0.1 s and just after the front has hit the wall.
 fn save_systems(folder: &Path) -> Vec<PathBuf> {
-    let text = builtin::find("dam_break_2d").unwrap();
-    let case = read::read(text, "dam_break_2d", &[("spacing".into(), "0.01".into())]).unwrap();
-    let scene = build::scene::<2>(&case);
-    let session = Session::start(&[]).unwrap();
-    let inner = PressureSolver::new(session.clone(), scene.particles.fluid().len()).unwrap();
-    let solvers =
-        (Box::new(Recorder::new(Box::new(inner))) as _, Box::new(VelocitySolver::new(session)) as _);
-    let scheme = Isph::new(scene.params.clone(), build::isph(&case, &scene), &scene.particles, solvers);
-    let control = StepControl { fixed: None, largest: f64::INFINITY };
-    let (gravity, support) = (scene.params.gravity, scene.params.support());
-    let mut simulation =
-        Simulation::new(scene.particles, Box::new(scheme), control, scene.enclosure, gravity, support);
-    simulation.start().unwrap();
+    let mut simulation = dam_break("0.01", |inner| Box::new(Recorder::new(Box::new(inner))));
     let mut until = |time: f64| {
         while simulation.time < time {
             simulation.advance().unwrap();

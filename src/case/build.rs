@@ -39,11 +39,6 @@ fn layers(dimension: usize, support_in_spacings: f64) -> usize {
     (dimension + 1).max(1 + support_in_spacings.floor() as usize)
 }
 
-/// Largest speed of the liquid in m/s.
-pub fn fastest<const D: usize>(particles: &Particles<D>) -> f64 {
-    particles.fluid().map(|a| particles.velocity[a].norm()).fold(0.0, f64::max)
-}
-
 /// Builds the scene of a case whose dimension is `D`.
 pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
     let lattice = Lattice::new(&shapes(case), case.spacing);
@@ -124,7 +119,7 @@ pub fn isph<const D: usize>(case: &CaseFile, scene: &Scene<D>) -> isph::Method {
         Some(_) => 0.0,
         None => {
             let of_waves = isph::longest_step(&scene.params);
-            let longest = of_waves.min(case.time.courant * case.spacing / fastest(&scene.particles));
+            let longest = of_waves.min(case.time.courant * case.spacing / scene.particles.fastest_liquid());
             if longest.is_finite() { longest } else { 0.0 }
         }
     };
@@ -177,7 +172,7 @@ pub fn wcsph<const D: usize>(case: &CaseFile, scene: &Scene<D>) -> wcsph::Method
     }
     let depth = if gravity > 0.0 { (highest - lowest) / gravity + params.spacing } else { 0.0 };
     // 2 sqrt(g H): the front of a dam break (Ritter 1892).
-    let speed = fastest(particles);
+    let speed = particles.fastest_liquid();
     let expected = 2.0 * (gravity * depth).sqrt() + speed;
     let plain = scheme.kind == SchemeKind::WcsphMonaghan;
     let sound_speed = scheme.sound_speed.unwrap_or(SOUND_RATIO * expected);

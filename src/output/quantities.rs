@@ -103,7 +103,7 @@ pub fn momentum<const D: usize>(scene: &Scene<D>) -> f64 {
 
 /// Largest speed of the liquid in m/s.
 pub fn fastest<const D: usize>(scene: &Scene<D>) -> f64 {
-    scene.particles.fluid().map(|a| scene.particles.velocity[a].norm()).fold(0.0, f64::max)
+    scene.particles.fastest_liquid()
 }
 
 /// Height of the liquid's centre of mass in m.
