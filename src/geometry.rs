@@ -13,7 +13,7 @@
 //! contains. Walls are made as if there were no bodies, and a body as if there were nothing else: it may move away.
 
 use crate::form::Form;
-use crate::particles::{Particles, Vector};
+use crate::particles::{Particles, Vector, axis_of};
 use std::collections::{HashMap, HashSet};
 
 /// An axis-aligned box in m.
@@ -404,10 +404,10 @@ impl<const D: usize> Lattice<D> {
             let is_open = |cell: &Cell<D>| !all.contains(cell);
             let body = Layered::new(cells.clone(), is_open, layers);
             let [walls, dummies] = [solid.walls.len() as u32, solid.dummies.len() as u32];
-            let faces = body.walls.iter().enumerate().flat_map(|(k, (cell, _))| {
+            let faces = body.walls.iter().enumerate().flat_map(|(k, wall)| {
                 let sides = (0..D).flat_map(|axis| [(axis, -1), (axis, 1)]);
                 sides.filter_map(move |(axis, end)| {
-                    let next: Cell<D> = std::array::from_fn(|d| cell[d] + i64::from(d == axis) * end);
+                    let next: Cell<D> = std::array::from_fn(|d| wall.cell[d] + i64::from(d == axis) * end);
                     is_open(&next).then_some((k as u32, axis, end as f64))
                 })
             });
@@ -430,13 +430,14 @@ impl<const D: usize> Lattice<D> {
         for body in &mut bodies {
             body.members[body.walls..].iter_mut().for_each(|dummy| *dummy += count);
         }
-        let behind = solid.dummies.iter().map(|dummy| (dummy.cell, solid.walls[dummy.tie as usize].1));
-        let (cells, normal): (Vec<_>, Vec<_>) = solid.walls.iter().copied().chain(behind).unzip();
+        let walls = solid.walls.iter().map(|wall| (wall.cell, wall.normal));
+        let behind = solid.dummies.iter().map(|dummy| (dummy.cell, solid.walls[dummy.tie as usize].normal));
+        let (cells, normal): (Vec<_>, Vec<_>) = walls.chain(behind).unzip();
         let depth =
             solid.walls.iter().map(|_| 0.5).chain(solid.dummies.iter().map(|dummy| 0.5 + dummy.behind));
         let particles = Particles::from_solid(
             cells.iter().map(|cell| self.centre(cell)).collect(),
-            normal,
+            (normal, solid.walls.iter().map(|wall| wall.flat).collect()),
             depth.map(|cells| cells * self.spacing).collect(),
             solid.dummies.iter().map(|dummy| dummy.tie).collect(),
         );
@@ -466,9 +467,19 @@ impl<const D: usize> Lattice<D> {
 
 /// The cells of one solid by layer.
 struct Layered<const D: usize> {
-    /// Those that touch open space, with their normals.
-    walls: Vec<(Cell<D>, Vector<D>)>,
+    /// Those that touch open space.
+    walls: Vec<Wall<D>>,
     dummies: Vec<Dummy<D>>,
+}
+
+/// A cell that touches open space.
+#[derive(Clone, Copy)]
+struct Wall<const D: usize> {
+    cell: Cell<D>,
+    normal: Vector<D>,
+    /// Whether the face goes on in its plane to all sides. Beside the end of a step it does not, though the normal is straight:
+    /// what leaves the step crosses that plane from behind.
+    flat: bool,
 }
 
 /// A deeper cell.
@@ -480,6 +491,15 @@ struct Dummy<const D: usize> {
     behind: f64,
 }
 
+impl<const D: usize> Wall<D> {
+    /// `open` are the offsets of all open cells around it.
+    fn new(cell: Cell<D>, open: &[&Cell<D>]) -> Self {
+        let normal = wall_normal(open);
+        let flat = axis_of(&normal).is_some_and(|axis| open.iter().all(|o| o[axis] != 0));
+        Self { cell, normal, flat }
+    }
+}
+
 impl<const D: usize> Layered<D> {
     fn new(cells: Vec<Cell<D>>, is_open: impl Fn(&Cell<D>) -> bool, layers: i64) -> Self {
         let touching = stencil::<D>(1);
@@ -488,15 +508,15 @@ impl<const D: usize> Layered<D> {
             let open: Vec<_> = touching.iter().filter(|o| is_open(&shifted(&cell, o))).collect();
             match open.is_empty() {
                 true => inner.push(cell),
-                false => walls.push((cell, wall_normal(&open))),
+                false => walls.push(Wall::new(cell, &open)),
             }
         }
         let wall_of: HashMap<Cell<D>, u32> =
-            walls.iter().enumerate().map(|(k, (cell, _))| (*cell, k as u32)).collect();
+            walls.iter().enumerate().map(|(k, wall)| (wall.cell, k as u32)).collect();
         let near = stencil::<D>(layers - 1);
         let dummy = |cell: Cell<D>| {
             let (tie, offset) = near.iter().find_map(|o| wall_of.get(&shifted(&cell, o)).map(|&w| (w, o)))?;
-            let normal = walls[tie as usize].1;
+            let normal = walls[tie as usize].normal;
             Some(Dummy { cell, tie, behind: (0..D).map(|d| offset[d] as f64 * normal[d]).sum() })
         };
         let dummies = inner.into_iter().filter_map(dummy).collect();
@@ -623,6 +643,23 @@ mod tests {
         assert_eq!(solid.len(), 64, "a box of 4 x 4 x 4 cells is full of particles");
         let walls = solid.iter().filter(|&&a| particles.kind(a) == Kind::Wall).count();
         assert_eq!(walls, 64 - 2 * 2 * 3, "all but the cells that touch no open cell");
+    }
+
+    #[test]
+    fn a_gable_is_not_flat_at_the_inner_corner_of_a_step() {
+        let solid = |cell: &Cell<3>| {
+            let height = if cell[0] < 4 { 8 } else { 4 };
+            (0..8).contains(&cell[0]) && (0..3).contains(&cell[1]) && (0..height).contains(&cell[2])
+        };
+        let all = CellBox { min: [0; 3], max: [8, 3, 8] };
+        let stair = Layered::new(all.cells().filter(solid).collect(), |cell| !solid(cell), 1);
+        let gable = |x, z| stair.walls.iter().find(|wall| wall.cell == [x, 0, z]).expect("a wall");
+        for (x, z) in [(3, 3), (2, 3), (3, 2), (5, 2), (2, 6)] {
+            let wall = gable(x, z);
+            assert_eq!(wall.normal, Vector::<3>::new(0.0, -1.0, 0.0));
+            assert_eq!(wall.flat, (x, z) != (3, 3), "{x}, {z}");
+        }
+        assert!(!gable(3, 4).flat && !gable(4, 3).flat, "edges");
     }
 
     #[test]

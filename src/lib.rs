@@ -32,8 +32,8 @@
 //! - [`error`]: what goes wrong, and the exit code of each kind; [`memory`]: what a process takes
 //! - [`kernel`]: smoothing kernels and what they sum to on a lattice
 //! - `petsc`: the only unsafe code, a thin fence around PETSc (feature `petsc`)
-//! - [`particles`], [`form`], [`geometry`], [`parallel`], [`halo`], [`neighbors`]: arrays, forms of bodies, scenes on a
-//!   lattice, ranks, ghosts, who is near whom
+//! - [`particles`], [`form`], [`geometry`], [`parallel`], [`halo`], [`neighbors`], [`simd`]: arrays, forms of bodies, scenes
+//!   on a lattice, ranks, ghosts, who is near whom, four pairs at a time
 //! - [`operators`]: density, divergence, gradients, Laplacians; [`terms`]: viscosity, state equation, density diffusion, surface,
 //!   shifting, collisions
 //! - [`boundary`]: walls of dummy particles, wall pressure from the liquid, repulsive walls
@@ -77,6 +77,7 @@ pub mod ppe;
 pub mod report;
 pub mod run;
 pub mod scheme;
+pub mod simd;
 pub mod simulation;
 pub mod study;
 pub mod terms;

@@ -6,6 +6,7 @@
 
 use crate::kernel::{CubicSpline, Kernel, KernelKind, Quintic, Smoothing, WendlandC2};
 use crate::particles::{Particles, Vector};
+use crate::simd::{LANES, Lanes, dot, keep_near};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -136,7 +137,7 @@ impl<const D: usize> CellList<D> {
             self.start[c + 1] += self.start[c];
         }
         self.sorted.clear();
-        self.sorted.resize(self.cell_of.len(), 0);
+        self.sorted.resize(self.cell_of.len() + LANES, 0);
         for (a, &c) in members.zip(&self.cell_of) {
             // start[c] walks through its cell and ends at the next cell's start: shifted back below.
             self.sorted[self.start[c as usize] as usize] = a as u32;
@@ -146,14 +147,15 @@ impl<const D: usize> CellList<D> {
         self.start[0] = 0;
         for (d, axis) in self.position.0.iter_mut().enumerate() {
             axis.clear();
-            axis.extend(self.sorted.iter().map(|&a| position[a as usize][d]));
+            axis.extend(self.sorted[..self.cell_of.len()].iter().map(|&a| position[a as usize][d]));
+            axis.resize(self.sorted.len(), 0.0);
         }
     }
 
-    /// Calls `visit` with each run of particle numbers and positions in the cells around `r`. Cells adjacent along the
-    /// last axis are adjacent in memory, so a run spans all of them.
-    #[inline]
-    fn around(&self, r: &Vector<D>, mut visit: impl FnMut(&[u32], [&[f64]; D])) {
+    /// The runs of places in `sorted` that hold the particles in the cells around `r`. Cells adjacent along the last axis are
+    /// adjacent in memory, so a run spans all of them.
+    fn around(&self, r: &Vector<D>, runs: &mut Vec<Range<usize>>) {
+        runs.clear();
         let Grid { extent, reach, .. } = self.grid;
         let at = self.grid.coordinates(r);
         let low: [usize; D] = std::array::from_fn(|d| at[d].saturating_sub(reach[d]));
@@ -165,12 +167,29 @@ impl<const D: usize> CellList<D> {
             let base = row * extent[last];
             let run = self.start[base + low[last]] as usize..self.start[base + high[last] + 1] as usize;
             if !run.is_empty() {
-                visit(&self.sorted[run.clone()], self.position.0.each_ref().map(|axis| &axis[run.clone()]));
+                runs.push(run);
             }
             // Next row of cells: an odometer over all axes but the last.
             let Some(d) = (0..last).rev().find(|&d| cell[d] < high[d]) else { return };
             cell[d] += 1;
             cell[d + 1..last].copy_from_slice(&low[d + 1..last]);
+        }
+    }
+}
+
+/// Where the particles around one cell are, found once for all that lie in it.
+#[derive(Debug, Clone, Default)]
+struct Surrounding {
+    cell: Option<u32>,
+    runs: Vec<Range<usize>>,
+}
+
+impl Surrounding {
+    fn find<const D: usize>(&mut self, cells: &CellList<D>, r: &Vector<D>) {
+        let cell = Some(cells.grid.cell(r));
+        if self.cell != cell {
+            self.cell = cell;
+            cells.around(r, &mut self.runs);
         }
     }
 }
@@ -205,43 +224,55 @@ struct Chunk {
     start: Vec<usize>,
     /// Liquid neighbours in each row.
     liquid: Vec<u32>,
-    // Buffers that only grow: what lies behind the last row is left over from other steps.
+    pairs: Pairs,
+    near_liquid: Surrounding,
+    near_solids: Surrounding,
+}
+
+/// Buffers that only grow: what lies behind the last row is left over from other steps.
+#[derive(Debug, Clone, Default)]
+struct Pairs {
     index: Vec<u32>,
     kernel: Vec<f64>,
     gradient: Vec<f64>,
 }
 
-impl Chunk {
-    /// Writes the particles of a run that are nearer to `a` than the root of `limit` from `end` on, and the squares of
-    /// their distances in place of their kernel factors; returns the new end.
-    #[inline]
-    fn gather<const D: usize>(
-        &mut self,
-        end: usize,
-        (a, r_a): (usize, &Vector<D>),
-        (run, position): (&[u32], [&[f64]; D]),
-        limit: f64,
-    ) -> usize {
-        if self.index.len() < end + run.len() {
-            let room = (2 * end).max(end + run.len());
+impl Pairs {
+    /// Room for a row of `count` pairs from `end` on.
+    fn reserve(&mut self, end: usize, count: usize) {
+        if self.index.len() < end + count {
+            let room = (2 * end).max(end + count);
             self.index.resize(room, 0);
             self.kernel.resize(room, 0.0);
             self.gradient.resize(room, 0.0);
         }
-        let room = end..end + run.len();
-        let (index, squares) = (&mut self.index[room.clone()], &mut self.kernel[room]);
-        let position = position.map(|x| &x[..squares.len()]);
-        for (k, square) in squares.iter_mut().enumerate() {
-            *square = (0..D).map(|d| (r_a[d] - position[d][k]) * (r_a[d] - position[d][k])).sum();
+    }
+
+    /// Writes the particles of `cells` around `a` that are nearer than the root of `limit` from `end` on, and the squares of
+    /// their distances in place of their kernel factors; returns the new end.
+    #[inline]
+    fn gather<const D: usize>(
+        &mut self,
+        mut end: usize,
+        (a, r_a): (usize, &Vector<D>),
+        (cells, surrounding): (&CellList<D>, &Surrounding),
+        limit: f64,
+    ) -> usize {
+        let r_a: [Lanes; D] = std::array::from_fn(|d| Lanes::splat(r_a[d]));
+        for run in &surrounding.runs {
+            let whole = run.start..run.start + run.len().next_multiple_of(LANES);
+            self.reserve(end, whole.len());
+            let numbers = cells.sorted[whole.clone()].as_chunks::<LANES>().0;
+            let axes = cells.position.0.each_ref().map(|axis| axis[whole.clone()].as_chunks::<LANES>().0);
+            for (k, number) in numbers.iter().enumerate() {
+                let away: [Lanes; D] = std::array::from_fn(|d| r_a[d] - Lanes::new(axes[d][k]));
+                let block = (number, dot(&away, &away), run.len() - k * LANES);
+                let room = (self.index[end..].first_chunk_mut(), self.kernel[end..].first_chunk_mut());
+                let (Some(index), Some(squares)) = room else { unreachable!("there is room for the run") };
+                end += keep_near(block, (limit, a as u32), index, squares);
+            }
         }
-        let mut found = 0;
-        for (k, &b) in run.iter().enumerate() {
-            // Written in any case and kept by counting on: a branch here is mispredicted too often.
-            let square = squares[k];
-            (index[found], squares[found]) = (b, square);
-            found += usize::from(square < limit) & usize::from(b as usize != a);
-        }
-        end + found
+        end
     }
 
     /// Kernel factors in place of the squares of distances.
@@ -254,9 +285,6 @@ impl Chunk {
 }
 
 const CHUNK: usize = 512;
-
-/// Neighbours in a block of [`Row::blocks`]: two vectors of the widest registers.
-pub const LANES: usize = 8;
 
 impl<const D: usize> Neighbors<D> {
     /// [`update`](Self::update) with the kernel of a kind and smoothing length `h` in m: the choice is made once a search.
@@ -306,22 +334,23 @@ impl<const D: usize> Neighbors<D> {
             chunk.start.clear();
             chunk.start.push(0);
             chunk.liquid.clear();
+            (chunk.near_liquid.cell, chunk.near_solids.cell) = (None, None);
             let mut end = 0;
             let rows = c * CHUNK..((c + 1) * CHUNK).min(count);
             for (a, r_a) in rows.clone().zip(&position[rows]) {
                 let (least, before) = (threshold(a), end);
                 let mut liquid = 0;
                 if least < f64::INFINITY {
-                    let at = (a, r_a);
-                    fluid_cells.around(r_a, |run, places| end = chunk.gather(end, at, (run, places), limit));
-                    chunk.weigh(before..end, smoothing);
+                    chunk.near_liquid.find(fluid_cells, r_a);
+                    end = chunk.pairs.gather(end, (a, r_a), (fluid_cells, &chunk.near_liquid), limit);
+                    chunk.pairs.weigh(before..end, smoothing);
                     liquid = end - before;
-                    if least > 0.0 && chunk.kernel[before..end].iter().sum::<f64>() < least {
+                    if least > 0.0 && chunk.pairs.kernel[before..end].iter().sum::<f64>() < least {
                         (end, liquid) = (before, 0);
                     } else if solids_see_solids || a >= first_fluid {
-                        solid_cells
-                            .around(r_a, |run, places| end = chunk.gather(end, at, (run, places), limit));
-                        chunk.weigh(before + liquid..end, smoothing);
+                        chunk.near_solids.find(solid_cells, r_a);
+                        end = chunk.pairs.gather(end, (a, r_a), (solid_cells, &chunk.near_solids), limit);
+                        chunk.pairs.weigh(before + liquid..end, smoothing);
                     }
                 }
                 chunk.start.push(end);
@@ -336,9 +365,9 @@ impl<const D: usize> Neighbors<D> {
         let (chunk, k) = (&self.chunks[a / CHUNK], a % CHUNK);
         let range = chunk.start[k]..chunk.start[k + 1];
         Row {
-            index: &chunk.index[range.clone()],
-            kernel: &chunk.kernel[range.clone()],
-            gradient: &chunk.gradient[range],
+            index: &chunk.pairs.index[range.clone()],
+            kernel: &chunk.pairs.kernel[range.clone()],
+            gradient: &chunk.pairs.gradient[range],
             liquid: chunk.liquid[k] as usize,
         }
     }
@@ -359,7 +388,7 @@ impl<const D: usize> Neighbors<D> {
     /// buffers and so forgets its cells.
     pub fn cell_order(&mut self, position: &[Vector<D>], support: f64) -> &[u32] {
         self.fluid_cells.sort(&Grid::covering(position, support), [0..position.len(), 0..0], position);
-        &self.fluid_cells.sorted
+        &self.fluid_cells.sorted[..position.len()]
     }
 }
 
@@ -381,19 +410,17 @@ impl<'a> Row<'a> {
         (part(0..self.liquid, self.liquid), part(self.liquid..self.index.len(), 0))
     }
 
-    /// The neighbours by blocks of [`LANES`], as (b, F_ab): loops over the lanes of a block run on vector registers. The last
-    /// block is filled up with its first neighbour and F = 0.
+    /// The neighbours by blocks of [`LANES`], as (b, F_ab). The last block is filled up with its first neighbour and F = 0.
     #[inline]
-    pub fn blocks(self) -> impl Iterator<Item = ([u32; LANES], [f64; LANES])> + 'a {
+    pub fn blocks(self) -> impl Iterator<Item = ([u32; LANES], Lanes)> + 'a {
         let (index, rest) = self.index.as_chunks();
         let (gradient, weights) = self.gradient.as_chunks();
-        let last = rest.first().map(|&first| {
-            let (mut index, mut gradient) = ([first; LANES], [0.0; LANES]);
-            index[..rest.len()].copy_from_slice(rest);
-            gradient[..weights.len()].copy_from_slice(weights);
-            (index, gradient)
+        let last = rest.first().map(|first| {
+            let index = std::array::from_fn(|k| *rest.get(k).unwrap_or(first));
+            (index, Lanes::new(std::array::from_fn(|k| *weights.get(k).unwrap_or(&0.0))))
         });
-        index.iter().copied().zip(gradient.iter().copied()).chain(last)
+        let whole = index.iter().zip(gradient);
+        whole.map(|(index, gradient)| (*index, Lanes::new(*gradient))).chain(last)
     }
 
     /// (b, W_ab, F_ab) of each neighbour.

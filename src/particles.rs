@@ -57,17 +57,18 @@ pub struct Particles<const D: usize> {
 }
 
 impl<const D: usize> Particles<D> {
-    /// Solid particles in the order wall | dummy; `tie` numbers walls.
+    /// Solid particles in the order wall | dummy, with the normals of all and for each wall whether it is flat there; `tie` numbers walls.
     pub fn from_solid(
         position: Vec<Vector<D>>,
-        normal: Vec<Vector<D>>,
+        (normal, flat): (Vec<Vector<D>>, Vec<bool>),
         depth: Vec<f64>,
         tie: Vec<u32>,
     ) -> Self {
         let count = position.len();
         let walls = count - tie.len();
+        debug_assert_eq!(flat.len(), walls);
         Self {
-            flat: normal[..walls].iter().map(|normal| axis_of(normal).is_some()).collect(),
+            flat,
             velocity: vec![Vector::zeros(); count],
             pressure: vec![0.0; count],
             id: (0..count as u64).collect(),

@@ -121,7 +121,8 @@ mod tests {
         let solid: Vec<_> = floor.iter().copied().chain(below).collect();
         let depth = solid.iter().map(|r| -r.y).collect();
         let normal = vec![Vector::<2>::new(0.0, 1.0); solid.len()];
-        let mut particles = Particles::from_solid(solid, normal, depth, (0..36).map(|k| k % 12).collect());
+        let mut particles =
+            Particles::from_solid(solid, (normal, vec![true; 12]), depth, (0..36).map(|k| k % 12).collect());
         let mut seed = 1_u32;
         let mut noise = || {
             seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);

@@ -106,10 +106,11 @@ use crate::boundary::repulsion::Repulsion;
 use crate::case::{DiffusionKind, Slip, Stepping};
 use crate::halo::Halo;
 use crate::kernel::LatticeSums;
-use crate::neighbors::{LANES, Layout, Neighbors, Row};
+use crate::neighbors::{Layout, Neighbors, Row};
 use crate::operators::{Moments, Surroundings};
 use crate::parallel::Ranks;
 use crate::particles::{Matrix, Particles, ReorderScratch, Vector};
+use crate::simd::{LANES, Lanes, dot};
 use crate::terms::artificial_viscosity::ArtificialViscosity;
 use crate::terms::density_diffusion::DensityDiffusion;
 use crate::terms::shifting::Shifting;
@@ -209,6 +210,9 @@ pub struct Wcsph<const D: usize> {
     density: Vec<f64>,
     /// p / rho^2 in m5/(kg s2).
     push: Vec<f64>,
+    records: Vec<Record>,
+    /// All but solids without liquid neighbours.
+    beside_liquid: Vec<bool>,
     rates: Vec<Rates<D>>,
     /// Velocities and densities at the beginning of the step.
     before: Vec<(Vector<D>, f64)>,
@@ -253,6 +257,8 @@ impl<const D: usize> Wcsph<D> {
             active: vec![],
             density: vec![],
             push: vec![],
+            records: vec![],
+            beside_liquid: vec![],
             rates: vec![],
             before: vec![],
             surface: vec![],
@@ -295,6 +301,10 @@ impl<const D: usize> Wcsph<D> {
         let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
         let layout = Layout::of(particles).with_solids_blind_to_solids();
         self.neighbors.search(kernel, h, &particles.position, &layout, threshold);
+        self.beside_liquid.clear();
+        let is_beside = |w: usize| !self.neighbors.row(w).index.is_empty();
+        self.beside_liquid.extend((0..solids).map(is_beside));
+        self.beside_liquid.resize(particles.len(), true);
         self.walls.mark_active(particles, &self.neighbors, &mut self.wet);
         self.halo.refresh(particles.originals(), &mut self.wet);
         self.active.clone_from(&self.wet);
@@ -382,32 +392,47 @@ impl<const D: usize> Wcsph<D> {
         self.halo.share(particles, |particles| &mut particles.pressure);
     }
 
+    /// What pair sums need of the liquid and of solids beside it, as it stands now.
+    fn pack(&mut self, particles: &Particles<D>) {
+        let Self { records, beside_liquid, density, push, .. } = self;
+        records.resize(particles.len(), Record::default());
+        let (position, velocity) = (&particles.position, &particles.velocity);
+        records.par_iter_mut().enumerate().with_min_len(1024).for_each(|(a, record)| {
+            if beside_liquid[a] {
+                *record = Record::new(&position[a], density[a], &velocity[a], push[a]);
+            }
+        });
+    }
+
     /// drho/dt by Eq. (2) alone, and rho += dt drho/dt.
     fn continuity(&mut self, particles: &Particles<D>, dt: f64) {
+        self.pack(particles);
         let (fluid, mass) = (particles.fluid(), self.params.mass());
         let first = fluid.start;
-        let wall_pressure = self.method.wall_pressure;
-        let (neighbors, position, velocity) = (&self.neighbors, &particles.position, &particles.velocity);
+        let (wall_pressure, neighbors, records) = (self.method.wall_pressure, &self.neighbors, &self.records);
         let shape = self.is_corrected().then_some(&self.shape);
         let liquid = (&mut self.density[fluid], &mut self.rates).into_par_iter();
         liquid.enumerate().with_min_len(256).for_each(|(k, (density, rates))| {
             let a = first + k;
-            let (r_a, v_a) = (position[a], velocity[a]);
             let row = neighbors.row(a);
             let row = if wall_pressure { row } else { row.split().0 };
-            // sum_b v_ab . S grad W is the trace of S sum_b grad W (x) v_ab.
+            let pairs = row.blocks().map(|(index, f)| (Block::<D>::new(records, a, &index), f));
+            let zero = Lanes::splat(0.0);
             rates.continuity = mass
                 * match shape {
                     Some(shape) => {
-                        let pair = |(b, _, f): (usize, f64, f64)| {
-                            (f * (r_a - position[b])) * (v_a - velocity[b]).transpose()
-                        };
-                        (shape[a] * row.iter().map(pair).sum::<Matrix<D>>()).trace()
+                        let mut sums = [[zero; D]; D];
+                        for (pair, f) in pairs {
+                            for (sums, r) in sums.iter_mut().zip(&pair.r) {
+                                sums.iter_mut()
+                                    .zip(&pair.v)
+                                    .for_each(|(sum, v)| *sum = (f * *r).mul_add(*v, *sum));
+                            }
+                        }
+                        (shape[a] * Matrix::<D>::from_fn(|d, e| sums[d][e].reduce_add())).trace()
                     }
                     None => {
-                        let pair =
-                            |(b, _, f): (usize, f64, f64)| f * (v_a - velocity[b]).dot(&(r_a - position[b]));
-                        row.iter().map(pair).sum::<f64>()
+                        pairs.fold(zero, |sum, (pair, f)| f.mul_add(dot(&pair.v, &pair.r), sum)).reduce_add()
                     }
                 };
             *density += dt * rates.continuity;
@@ -417,32 +442,41 @@ impl<const D: usize> Wcsph<D> {
     /// dv/dt and drho/dt of the liquid, and its surface.
     fn rates(&mut self, particles: &Particles<D>) {
         let pressure = &particles.pressure;
-        let difference = |a: usize, b: usize| pressure[b] - pressure[a];
+        let difference = |a: usize, index: &[u32; LANES]| {
+            Lanes::new(index.map(|b| pressure[b as usize])) - Lanes::splat(pressure[a])
+        };
         match self.method.density_diffusion {
-            DiffusionKind::None => self.sum_rates(particles, |_, _, _, _| 0.0),
-            DiffusionKind::MolteniColagrossi => self.sum_rates(particles, |_, a, b, _| difference(a, b)),
+            DiffusionKind::None => self.sum_rates(particles, |_, _, _, _| Lanes::splat(0.0)),
+            DiffusionKind::MolteniColagrossi => {
+                self.sum_rates(particles, |_, a, index, _| difference(a, index));
+            }
             DiffusionKind::Fourtakas => {
-                let gravity = 0.5 * self.params.gravity;
-                self.sum_rates(particles, |scheme, a, b, r_ab| {
-                    let density = scheme.density[a] + scheme.density[b];
-                    difference(a, b) + density * gravity.dot(r_ab)
+                let gravity = std::array::from_fn(|d| Lanes::splat(0.5 * self.params.gravity[d]));
+                self.sum_rates(particles, |scheme, a, index, pair| {
+                    let density = pair.density + Lanes::splat(scheme.density[a]);
+                    difference(a, index) + density * dot(&gravity, &pair.r)
                 });
             }
             DiffusionKind::Antuono => {
                 self.slopes(particles);
-                self.sum_rates(particles, |scheme, a, b, r_ab| {
-                    difference(a, b) + 0.5 * (scheme.slope[a] + scheme.slope[b]).dot(r_ab)
+                self.sum_rates(particles, |scheme, a, index, pair| {
+                    let slope = |d: usize| {
+                        let others = index.map(|b| 0.5 * scheme.slope[b as usize][d]);
+                        Lanes::new(others) + Lanes::splat(0.5 * scheme.slope[a][d])
+                    };
+                    difference(a, index) + dot(&std::array::from_fn(slope), &pair.r)
                 });
             }
         }
     }
 
-    /// `excess(self, a, b, r_ab)` is the pressure difference in Pa that diffusion smooths out.
+    /// `excess(self, a, numbers, pairs)` is the pressure difference in Pa that diffusion smooths out, of a block of pairs.
     fn sum_rates(
         &mut self,
         particles: &Particles<D>,
-        excess: impl Fn(&Self, usize, usize, &Vector<D>) -> f64 + Sync,
+        excess: impl Fn(&Self, usize, &[u32; LANES], &Block<D>) -> Lanes + Sync,
     ) {
+        self.pack(particles);
         let (mut rates, mut surface) = (std::mem::take(&mut self.rates), std::mem::take(&mut self.surface));
         let (first, walls) = (particles.solids(), particles.walls().end);
         let pairs = self.pairs();
@@ -452,8 +486,8 @@ impl<const D: usize> Wcsph<D> {
                 let (liquid, solid) = self.neighbors.row(a).split();
                 *rates = Rates { acceleration: self.params.gravity, ..Rates::default() };
                 match self.is_corrected() {
-                    true => pairs.add_liquid::<D, true>(self, particles, a, liquid, rates, &excess),
-                    false => pairs.add_liquid::<D, false>(self, particles, a, liquid, rates, &excess),
+                    true => pairs.add_liquid::<D, true>(self, a, liquid, rates, &excess),
+                    false => pairs.add_liquid::<D, false>(self, a, liquid, rates, &excess),
                 }
                 if self.method.wall_pressure {
                     pairs.add_walls(self, particles, a, solid, rates);
@@ -496,7 +530,7 @@ impl<const D: usize> Wcsph<D> {
         Pairs {
             mass: self.params.mass(),
             volume: self.params.volume(),
-            laminar: if self.has_surface { 0.0 } else { 2.0 * self.params.volume() * laminar },
+            laminar: if self.has_surface { 0.0 } else { 2.0 * laminar / self.params.density },
             viscosity: ArtificialViscosity::new(artificial_viscosity, sound_speed, h)
                 .with_laminar(if self.has_surface { 2.0 * (D + 2) as f64 * laminar } else { 0.0 }),
             diffusion: DensityDiffusion::new(density_diffusion_coefficient, h, sound_speed),
@@ -714,35 +748,86 @@ impl<const D: usize> Wcsph<D> {
     }
 }
 
-/// Values of a block of pairs, a lane each.
-struct Block<const D: usize> {
-    r: [[f64; LANES]; D],
-    v: [[f64; LANES]; D],
-    density: [f64; LANES],
-    push: [f64; LANES],
-    /// push of b times its shape correction.
-    stress: [[[f64; LANES]; D]; D],
-    excess: [f64; LANES],
+/// What pair sums need of a particle, in one line of the cache.
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(align(64))]
+struct Record {
+    /// r, in 2D filled up with a zero, and rho.
+    place: Lanes,
+    /// v likewise, and p / rho^2.
+    motion: Lanes,
 }
 
-impl<const D: usize> Default for Block<D> {
-    fn default() -> Self {
-        let zero = [0.0; LANES];
-        Self { r: [zero; D], v: [zero; D], density: zero, push: zero, stress: [[zero; D]; D], excess: zero }
+impl Record {
+    fn new<const D: usize>(r: &Vector<D>, density: f64, v: &Vector<D>, push: f64) -> Self {
+        let with = |vector: &Vector<D>, last: f64| {
+            let mut lanes = [0.0; LANES];
+            lanes[..D].copy_from_slice(vector.as_slice());
+            lanes[LANES - 1] = last;
+            Lanes::new(lanes)
+        };
+        Self { place: with(r, density), motion: with(v, push) }
     }
 }
 
-/// a . b in lane `k`.
-#[inline]
-fn dot<const D: usize>(a: &[[f64; LANES]; D], b: &[[f64; LANES]; D], k: usize) -> f64 {
-    (0..D).map(|d| a[d][k] * b[d][k]).sum()
+/// A particle `a` and its neighbours `b` of a block.
+struct Block<const D: usize> {
+    /// r_ab in m.
+    r: [Lanes; D],
+    /// v_ab in m/s.
+    v: [Lanes; D],
+    /// rho_b.
+    density: Lanes,
+    /// p_b / rho_b^2.
+    push: Lanes,
+}
+
+impl<const D: usize> Block<D> {
+    #[inline]
+    fn new(records: &[Record], a: usize, index: &[u32; LANES]) -> Self {
+        let (own, others) = (&records[a], index.map(|b| &records[b as usize]));
+        let [place, motion] = [others.map(|b| b.place), others.map(|b| b.motion)].map(Lanes::transpose);
+        let (r, v) = (own.place.to_array(), own.motion.to_array());
+        Self {
+            r: std::array::from_fn(|d| Lanes::splat(r[d]) - place[d]),
+            v: std::array::from_fn(|d| Lanes::splat(v[d]) - motion[d]),
+            density: place[LANES - 1],
+            push: motion[LANES - 1],
+        }
+    }
+}
+
+/// What a row adds up to; each lane has every fourth pair.
+struct Sums<const D: usize> {
+    /// dv/dt over the mass of a particle.
+    force: [Lanes; D],
+    /// drho/dt by (2) over that mass.
+    continuity: Lanes,
+    diffusion: Lanes,
+    filling: Lanes,
+}
+
+impl<const D: usize> Default for Sums<D> {
+    fn default() -> Self {
+        let zero = Lanes::splat(0.0);
+        Self { force: [zero; D], continuity: zero, diffusion: zero, filling: zero }
+    }
+}
+
+impl<const D: usize> Sums<D> {
+    fn add_to(&self, rates: &mut Rates<D>, pairs: &Pairs) {
+        rates.acceleration += pairs.mass * Vector::from_fn(|d, _| self.force[d].reduce_add());
+        rates.continuity += pairs.mass * self.continuity.reduce_add();
+        rates.diffusion += pairs.diffusion.of(pairs.volume * self.diffusion.reduce_add());
+        rates.filling += self.filling.reduce_add();
+    }
 }
 
 /// The constants of pair sums.
 struct Pairs {
     mass: f64,
     volume: f64,
-    /// 2 nu V of the two-point form over the lattice's factor.
+    /// 2 nu V / m of the two-point form over the lattice's factor.
     laminar: f64,
     /// The artificial viscosity, and the laminar one of the central form.
     viscosity: ArtificialViscosity,
@@ -751,61 +836,40 @@ struct Pairs {
 }
 
 impl Pairs {
-    /// Eqs. (2) and (3), or (6), over the liquid neighbours of `a`, a block at a time: what neighbours have is gathered first, and all
-    /// arithmetic follows lane by lane.
+    /// Eqs. (2) and (3), or (6), over the liquid neighbours of `a`.
     #[inline]
     fn add_liquid<const D: usize, const CORRECTED: bool>(
         &self,
         scheme: &Wcsph<D>,
-        particles: &Particles<D>,
         a: usize,
         row: Row,
         rates: &mut Rates<D>,
-        excess: &impl Fn(&Wcsph<D>, usize, usize, &Vector<D>) -> f64,
+        excess: &impl Fn(&Wcsph<D>, usize, &[u32; LANES], &Block<D>) -> Lanes,
     ) {
-        let (r_a, v_a) = (particles.position[a], particles.velocity[a]);
-        let (push_a, density_a) = (scheme.own_push(a), scheme.density[a]);
-        let stress_a = if CORRECTED { push_a * scheme.shape[a] } else { Matrix::zeros() };
-        let (mut pair, mut sums) = (Block::<D>::default(), Block::<D>::default());
+        let (push_a, density_a) = (Lanes::splat(scheme.own_push(a)), Lanes::splat(scheme.density[a]));
+        let mut sums = Sums::<D>::default();
         for (index, f) in row.blocks() {
-            for (k, &b) in index.iter().enumerate() {
-                let b = b as usize;
-                let r_ab = r_a - particles.position[b];
-                let v_ab = v_a - particles.velocity[b];
-                (0..D).for_each(|d| (pair.r[d][k], pair.v[d][k]) = (r_ab[d], v_ab[d]));
-                pair.density[k] = scheme.density[b];
-                pair.push[k] = scheme.push[b];
-                pair.excess[k] = excess(scheme, a, b, &r_ab);
+            let pair = Block::<D>::new(&scheme.records, a, &index);
+            let (approach, square) = (dot(&pair.v, &pair.r), dot(&pair.r, &pair.r));
+            let viscous = self.viscosity.of(approach, square, 0.5 * (density_a + pair.density));
+            let central = if CORRECTED { viscous } else { push_a + pair.push + viscous };
+            for d in 0..D {
+                let mut push = central * pair.r[d];
                 if CORRECTED {
-                    let shape = &scheme.shape[b];
-                    for d in 0..D {
-                        (0..D).for_each(|e| pair.stress[d][e][k] = pair.push[k] * shape[(d, e)]);
+                    // (push_a S_a + push_b S_b) r, the part (6) has for the pressures of (3).
+                    for e in 0..D {
+                        let own = Lanes::splat(scheme.shape[a][(d, e)]);
+                        let others = Lanes::new(index.map(|b| scheme.shape[b as usize][(d, e)]));
+                        push = (push_a * own + pair.push * others).mul_add(pair.r[e], push);
                     }
                 }
+                sums.force[d] = f.mul_add(self.laminar * pair.v[d] - push, sums.force[d]);
             }
-            #[allow(clippy::needless_range_loop, reason = "several arrays share the lane")]
-            for k in 0..LANES {
-                let (approach, square) = (dot(&pair.v, &pair.r, k), dot(&pair.r, &pair.r, k));
-                let viscous = self.viscosity.of(approach, square, 0.5 * (density_a + pair.density[k]));
-                let push = self.mass * if CORRECTED { viscous } else { push_a + pair.push[k] + viscous };
-                for d in 0..D {
-                    let mut force = self.laminar * pair.v[d][k] - push * pair.r[d][k];
-                    if CORRECTED {
-                        let stress = |e: usize| (stress_a[(d, e)] + pair.stress[d][e][k]) * pair.r[e][k];
-                        force -= self.mass * (0..D).map(stress).sum::<f64>();
-                    }
-                    sums.v[d][k] += f[k] * force;
-                }
-                sums.density[k] += self.mass * f[k] * approach;
-                sums.excess[k] += self.diffusion.of(self.volume * f[k], pair.excess[k]);
-                sums.push[k] -= f[k] * square;
-            }
+            sums.continuity = f.mul_add(approach, sums.continuity);
+            sums.diffusion = f.mul_add(excess(scheme, a, &index, &pair), sums.diffusion);
+            sums.filling = (-f).mul_add(square, sums.filling);
         }
-        let sum = |lanes: &[f64; LANES]| lanes.iter().sum::<f64>();
-        rates.acceleration += Vector::from_fn(|d, _| sum(&sums.v[d]));
-        rates.continuity += sum(&sums.density);
-        rates.diffusion += sum(&sums.excess);
-        rates.filling += sum(&sums.push);
+        sums.add_to(rates, self);
     }
 
     /// Eqs. (2) and (3) over walls that carry a pressure; where liquid slips, they exert no viscous force.
@@ -818,23 +882,30 @@ impl Pairs {
         row: Row,
         rates: &mut Rates<D>,
     ) {
-        let (r_a, v_a, push_a) = (particles.position[a], particles.velocity[a], scheme.own_push(a));
+        let (r_a, push_a, density_a) = (particles.position[a], scheme.own_push(a), scheme.density[a]);
         let tension = scheme.has_surface && push_a < 0.0;
-        for (b, _, f) in row.iter() {
-            let r_ab = r_a - particles.position[b];
-            let v_ab = v_a - particles.velocity[b];
-            let (approach, square) = (v_ab.dot(&r_ab), r_ab.norm_squared());
-            let original = particles.original(b);
-            let difference = viscosity::wall_factor(particles, original, &r_ab, self.slip) * v_ab;
-            let viscous = self.viscosity.of(difference.dot(&r_ab), square, scheme.density[a]);
+        let mut sums = Sums::<D>::default();
+        for (index, f) in row.blocks() {
+            let pair = Block::<D>::new(&scheme.records, a, &index);
+            let original = index.map(|b| particles.original(b as usize));
+            let of_wall = |k: usize| {
+                let r_ab = r_a - particles.position[index[k] as usize];
+                viscosity::wall_factor(particles, original[k], &r_ab, self.slip)
+            };
+            let wall = Lanes::new(std::array::from_fn(of_wall));
             // Walls of bodies have no pressure where liquid is under tension, so it does not pull the body. Nor may the body pull it:
             // the two would run away, the liquid drawn to the body and the body driven by its repulsion.
-            let is_pulled = tension && scheme.afloat.bodies.free(original).is_some();
-            let own = if is_pulled { 0.0 } else { push_a };
-            let push = self.mass * (own + scheme.push[b] + viscous);
-            rates.acceleration += f * (self.laminar * difference - push * r_ab);
-            rates.continuity += self.mass * f * approach;
+            let is_pulled = |w: usize| tension && scheme.afloat.bodies.free(w).is_some();
+            let own = Lanes::new(original.map(|w| if is_pulled(w) { 0.0 } else { push_a }));
+            let (approach, square) = (dot(&pair.v, &pair.r), dot(&pair.r, &pair.r));
+            let viscous = self.viscosity.of(wall * approach, square, Lanes::splat(density_a));
+            let push = own + pair.push + viscous;
+            for d in 0..D {
+                sums.force[d] += f * (self.laminar * wall * pair.v[d] - push * pair.r[d]);
+            }
+            sums.continuity += f * approach;
         }
+        sums.add_to(rates, self);
     }
 }
 
