@@ -305,6 +305,7 @@ impl<const D: usize> Wcsph<D> {
         let is_beside = |w: usize| !self.neighbors.row(w).index.is_empty();
         self.beside_liquid.extend((0..solids).map(is_beside));
         self.beside_liquid.resize(particles.len(), true);
+        self.halo.refresh(particles.originals(), &mut self.beside_liquid);
         self.walls.mark_active(particles, &self.neighbors, &mut self.wet);
         self.halo.refresh(particles.originals(), &mut self.wet);
         self.active.clone_from(&self.wet);
