@@ -66,9 +66,9 @@ fn density_invariant_flows_need_no_gravity() {
     // Measured 0.7 %, and 2.5 % at L/20.
     let vortices = summary(&run("taylor_green --spacing 0.04 --set scheme.kind=isph_di --until 0.3"));
     assert!(error(&vortices, "amplitude_m_per_s") < 0.015, "{vortices}");
-    // Measured 1.7 % and 0.7 %: a strained lattice has not the sums that ISPH_DI asks for.
+    // Measured 1.1 % and 0.3 %; on a kernel of h / dx = 1.2, whose sums strain changes more, 1.7 and 0.7 %.
     let drop = summary(&run("stretching_drop --spacing 0.04 --set scheme.kind=isph_di"));
-    assert!(error(&drop, "short_axis_m") < 0.03 && error(&drop, "long_axis_m") < 0.015, "{drop}");
+    assert!(error(&drop, "short_axis_m") < 0.016 && error(&drop, "long_axis_m") < 0.006, "{drop}");
 }
 
 #[test]

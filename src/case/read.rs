@@ -539,14 +539,16 @@ fn variants<T: ValueEnum>() -> String {
 }
 
 fn read_case(r: &Reader) -> CaseFile {
-    let scheme = r.section("scheme", read_scheme);
+    let gravity = r.vector("gravity", "m/s2").or(CaseFile::default_gravity(r.dimension));
+    let weightless = gravity.iter().all(|g| *g == 0.0);
+    let scheme = r.section("scheme", |r| read_scheme(r, weightless));
     let time = r.section("time", |r| read_time(r, &scheme));
     CaseFile {
         name: r.name("name").required(),
         description: r.text("description", "what the case shows").or(String::new()),
         dimension: r.dimension,
         spacing: r.number("spacing", Range::Positive, "m").required(),
-        gravity: r.vector("gravity", "m/s2").or(CaseFile::default_gravity(r.dimension)),
+        gravity,
         seed: r.whole("seed", 0, i64::MAX).or(0).unsigned_abs(),
         fluid: r.section("fluid", read_fluid),
         tank: r.optional_section("tank", read_tank),
@@ -735,9 +737,9 @@ fn read_motion(r: &Reader) -> Option<Motion> {
     }
 }
 
-fn read_scheme(r: &Reader) -> SchemeParams {
+fn read_scheme(r: &Reader, weightless: bool) -> SchemeParams {
     let kind = r.variant("kind").or(SchemeParams::default().kind);
-    let default = SchemeParams::of(kind, r.dimension);
+    let default = SchemeParams::of(kind, r.dimension, weightless);
     SchemeParams {
         kind,
         kernel: r.variant("kernel").or(default.kernel),
@@ -1448,6 +1450,12 @@ until = 1
         assert_eq!((case.fluid.density, case.fluid.kinematic_viscosity), (1000.0, 1e-6));
         assert_eq!(case.fluid.blocks[0].velocity, [0.0, 0.0]);
         assert_eq!(case.scheme, SchemeParams::default());
+        let smoothing_ratio = |kind: &str, gravity: &str| {
+            small(&[("scheme.kind", kind), ("gravity", gravity)]).scheme.smoothing_ratio
+        };
+        assert_eq!(smoothing_ratio("isph_di", "[0.0, -9.81]"), 1.2);
+        assert_eq!(smoothing_ratio("isph_di", "[0.0, 0.0]"), 2.0);
+        assert_eq!(smoothing_ratio("isph_df", "[0.0, 0.0]"), 1.2);
         assert_eq!(case.time, TimeParams { until: 1.0, step: None, courant: 0.35, step_max: None });
         assert_eq!(case.output, OutputParams::for_run(1.0));
         assert_eq!(case.output.particles, 1.0 / 80.0);
