@@ -18,6 +18,7 @@
 use crate::parallel::partition::Slabs;
 use crate::parallel::{Packed, Ranks};
 use crate::particles::{Fluid, Particles, Vector};
+use serde::Serialize;
 
 /// A box that repeats itself along some of its axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -97,6 +98,35 @@ struct Peers<const D: usize> {
     liquid_out: Vec<Vec<(u32, Vector<D>)>>,
     /// For each rank: how many ghosts here are of its liquid.
     liquid_in: Vec<usize>,
+    tally: Tally,
+}
+
+/// What this rank had to do with others, summed over all renewals.
+#[derive(Debug, Clone, Copy, Default)]
+struct Tally {
+    /// Liquid particles of its own.
+    own: usize,
+    /// Ghosts of others' liquid.
+    ghosts: usize,
+    /// Liquid particles given away.
+    handed_over: usize,
+    /// How often slabs were cut.
+    cuts: usize,
+}
+
+/// How the liquid was shared out among ranks, since this program started.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Sharing {
+    /// Number of ranks.
+    pub ranks: usize,
+    /// Mean number of liquid particles of the rank with most over the mean of all ranks.
+    pub imbalance: f64,
+    /// Ghosts of other ranks' liquid over liquid, on average.
+    pub ghosts_per_particle: f64,
+    /// Liquid particles that went to another rank.
+    pub handed_over: usize,
+    /// How often slabs were cut.
+    pub cuts: usize,
 }
 
 /// Renewals between two looks at the balance of the ranks.
@@ -128,6 +158,7 @@ impl<const D: usize> Halo<D> {
             solids_in: nobody,
             liquid_out: vec![vec![]; ranks.count()],
             liquid_in: vec![0; ranks.count()],
+            tally: Tally::default(),
         };
         Self { ranks, reach, peers: Some(peers), ..self }
     }
@@ -147,6 +178,20 @@ impl<const D: usize> Halo<D> {
     /// The ranks that it spans.
     pub fn ranks(&self) -> &Ranks {
         &self.ranks
+    }
+
+    /// How all ranks, which have to ask at once, shared the liquid; nothing on one rank.
+    pub fn sharing(&self) -> Option<Sharing> {
+        let tally = self.peers.as_ref()?.tally;
+        let here = [tally.own, tally.ghosts, tally.handed_over].map(|count| count as f64);
+        let [own, ghosts, handed_over] = self.ranks.sums(&here)[..] else { return None };
+        Some(Sharing {
+            ranks: self.ranks.count(),
+            imbalance: self.ranks.max(here[0]) * self.ranks.count() as f64 / own.max(1.0),
+            ghosts_per_particle: ghosts / own.max(1.0),
+            handed_over: handed_over as usize,
+            cuts: tally.cuts,
+        })
     }
 
     /// Whether this rank holds particle `a`, no ghost: all liquid that it has, and the solids in its slab.
@@ -189,6 +234,7 @@ impl<const D: usize> Halo<D> {
             let x = particles.position[particles.fluid()].iter().map(|r| r[0]);
             if peers.holds.is_empty() || Slabs::are_uneven(&self.ranks, x.len()) {
                 peers.slabs = Slabs::balanced(&self.ranks, x, 0.25 * self.reach);
+                peers.tally.cuts += 1;
                 are_stale = true;
             }
         }
@@ -201,6 +247,7 @@ impl<const D: usize> Halo<D> {
             let q = owner(&particles.position[a]);
             if q != self.ranks.rank() {
                 pack(&particles.fluid_particle(a), &mut parts[q]);
+                peers.tally.handed_over += 1;
             }
         }
         let stays: Vec<bool> = particles.position.iter().map(|r| owner(r) == self.ranks.rank()).collect();
@@ -233,6 +280,8 @@ impl<const D: usize> Halo<D> {
         });
         let came = self.ranks.exchange(parts.collect());
         peers.liquid_in = came.iter().map(|part| part.len() / (2 * D + 2)).collect();
+        peers.tally.own += particles.fluid().len();
+        peers.tally.ghosts += peers.liquid_in.iter().sum::<usize>();
         for part in came {
             particles.append_foreign_ghosts(part.chunks_exact(2 * D + 2).map(unpack));
         }

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 
 use crate::case::{Arrival, CaseFile, SchemeKind};
 use crate::exact::ErrorMeasure;
+use crate::halo::Sharing;
 use crate::invariants::Invariants;
 use crate::memory;
 use crate::output::comparison::{ArrivalTime, Comparison, SeriesError};
@@ -38,6 +39,8 @@ pub struct Report<'a, const D: usize> {
     pub solver: &'a str,
     /// Wall-clock time of the time loop in s, over all parts of a resumed run.
     pub wall_s: f64,
+    /// How ranks shared the liquid, if there were several.
+    pub sharing: Option<Sharing>,
     /// Where the files are.
     pub folder: &'a Path,
     /// Why the run ended early, if it did.
@@ -81,6 +84,7 @@ impl<const D: usize> Report<'_, D> {
             "wall_s": self.wall_s,
             "stages_s": stages,
             "memory_mb": memory::peak_mb(),
+            "ranks": self.sharing,
             "particles": {
                 "fluid": self.particles.fluid().len(), "wall": self.particles.walls().len(),
                 "dummy": self.particles.dummies().len(), "left": t.left, "through_walls": t.through_walls,
@@ -184,6 +188,19 @@ impl<const D: usize> fmt::Display for Report<'_, D> {
         let stages =
             self.scheme.stages().iter().map(|(name, spent)| format!("{name} {:.2}", spent.as_secs_f64()));
         line("stages, s", stages.collect::<Vec<_>>().join(", "))?;
+        if let Some(sharing) = self.sharing {
+            line(
+                "ranks",
+                format!(
+                    "{}, the fullest with {:.2} times the mean liquid; {:.2} ghosts a particle, {} particles handed over, cut {} times",
+                    sharing.ranks,
+                    sharing.imbalance,
+                    sharing.ghosts_per_particle,
+                    sharing.handed_over,
+                    sharing.cuts
+                ),
+            )?;
+        }
         if let Some(memory) = memory::peak_mb() {
             line("memory", format!("{memory:.0} MB at most"))?;
         }

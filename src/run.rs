@@ -9,6 +9,7 @@ use crate::case::build::{self, Scene};
 use crate::case::{CaseFile, Profile, SchemeKind, read};
 use crate::cli::{self, RunArgs};
 use crate::exact;
+use crate::halo::Sharing;
 use crate::motion::Motion;
 use crate::output::bodies::BodyLog;
 use crate::output::comparison::References;
@@ -209,7 +210,8 @@ impl<'a, const D: usize> Run<'a, D> {
             self.save_failing_state()?;
         }
         let failure = outcome.as_ref().err().map(ToString::to_string);
-        let reported = self.show(|output, whole| output.report(whole, failure));
+        let sharing = self.simulation.scheme.halo().sharing();
+        let reported = self.show(|output, whole| output.report(whole, sharing, failure));
         // What cannot be read now is this run's own.
         reported.map_err(|error| match error {
             Error::Input(what) => Error::Run(what),
@@ -402,7 +404,12 @@ impl<'a, const D: usize> Output<'a, D> {
     }
 
     /// The end of a run: summary, last pictures, end table.
-    fn report(&mut self, simulation: &Simulation<D>, failure: Option<String>) -> Result<()> {
+    fn report(
+        &mut self,
+        simulation: &Simulation<D>,
+        sharing: Option<Sharing>,
+        failure: Option<String>,
+    ) -> Result<()> {
         self.progress.finish();
         let mut comparison = self.references.compare(self.folder.path())?;
         let mut errors = self.exact.as_mut().map_or(Ok(vec![]), ExactLog::errors)?;
@@ -423,6 +430,7 @@ impl<'a, const D: usize> Output<'a, D> {
             errors,
             solver: &self.solver,
             wall_s: self.earlier_s + self.began.elapsed().as_secs_f64(),
+            sharing,
             folder: self.folder.path(),
             failure,
         };

@@ -80,6 +80,28 @@ fn wcsph_flows_alike_on_three_ranks() {
 }
 
 #[test]
+fn the_end_tells_how_ranks_shared_the_liquid() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = "dam_break_2d --scheme wcsph --spacing 0.04 --until 0.2";
+    if !done(&folder, line, 1) || !done(&folder, line, 3) {
+        return;
+    }
+    let of = |ranks: usize| {
+        let text = fs::read_to_string(folder.path().join(ranks.to_string()).join("summary.json")).unwrap();
+        serde_json::from_str::<serde_json::Value>(&text).unwrap()["ranks"].clone()
+    };
+    assert!(of(1).is_null());
+    let found = of(3);
+    let number = |name: &str| found[name].as_f64().unwrap();
+    assert_eq!(number("ranks"), 3.0);
+    // Slabs are cut anew when one has a tenth too much, which a column of liquid 5 particles wide exceeds for as long as it stands.
+    assert!((1.0..1.5).contains(&number("imbalance")), "{found}");
+    // A support of 4 spacings on both sides of both cuts, in liquid 5 to 10 spacings wide.
+    assert!((0.5..4.0).contains(&number("ghosts_per_particle")), "{found}");
+    assert!(number("handed_over") > 0.0 && number("cuts") >= 1.0, "{found}");
+}
+
+#[test]
 #[cfg(feature = "petsc")]
 fn isph_flows_alike_on_four_ranks() {
     // Steps of one length end at one time: the kinetic energy grows with its square.

@@ -1565,8 +1565,8 @@ until = 1
             (
                 "new.key",
                 "1",
-                "--set new.key: new is no key of a case file: use one of dimension, scheme, time, name, description, \
-                 spacing, gravity, seed, fluid, tank, motion, box, body, exact, output, probe, reference, profile, arrival, \
+                "--set new.key: new is no key of a case file: use one of dimension, gravity, scheme, time, name, description, \
+                 spacing, seed, fluid, tank, motion, box, body, exact, output, probe, reference, profile, arrival, \
                  variant, run",
             ),
             ("fluid", "1", "--set fluid: fluid is 1: write it as one table [fluid]"),

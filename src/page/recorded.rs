@@ -102,6 +102,11 @@ fn figures(summary: &Value, case: &CaseFile) -> Vec<(String, String)> {
             number(&["compressibility", "largest_density_variation"]).map(|d| format!("{:.2} %", 100.0 * d)),
         ),
         ("memory", number(&["memory_mb"]).map(|m| format!("{m:.0} MB"))),
+        ("ranks", number(&["ranks", "ranks"]).map(|n| n.to_string())),
+        (
+            "liquid of the fullest rank over the mean",
+            number(&["ranks", "imbalance"]).map(|n| format!("{n:.2}")),
+        ),
     ];
     all.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect()
 }
