@@ -37,7 +37,6 @@ pub fn keep_near(
 }
 
 /// Writes the lanes of the set `kept` to the front.
-#[cfg(target_feature = "avx2")]
 #[inline]
 fn pack(
     kept: usize,
@@ -45,26 +44,21 @@ fn pack(
     numbers: &mut [u32; LANES],
     squares: &mut [f64; LANES],
 ) {
-    let bits = m256i::from(square.to_array().map(f64::to_bits));
-    let packed: [u64; LANES] = shuffle_av_i32_all_m256i(bits, m256i::from(DOUBLES[kept])).into();
-    *squares = packed.map(f64::from_bits);
-    *numbers = shuffle_av_i8z_all_m128i(m128i::from(*number), m128i::from(NUMBERS[kept])).into();
-}
-
-/// Writes the lanes of the set `kept` to the front.
-#[cfg(not(target_feature = "avx2"))]
-#[inline]
-fn pack(
-    kept: usize,
-    (number, square): (&[u32; LANES], Lanes),
-    numbers: &mut [u32; LANES],
-    squares: &mut [f64; LANES],
-) {
-    let mut place = 0;
-    for (lane, square) in square.to_array().into_iter().enumerate() {
-        // Written in any case, to lie behind what is kept or be overwritten: a branch here is mispredicted too often.
-        (numbers[place], squares[place]) = (number[lane], square);
-        place = (place + (kept >> lane & 1)).min(LANES - 1);
+    #[cfg(target_feature = "avx2")]
+    {
+        let bits = m256i::from(square.to_array().map(f64::to_bits));
+        let packed: [u64; LANES] = shuffle_av_i32_all_m256i(bits, m256i::from(DOUBLES[kept])).into();
+        *squares = packed.map(f64::from_bits);
+        *numbers = shuffle_av_i8z_all_m128i(m128i::from(*number), m128i::from(NUMBERS[kept])).into();
+    }
+    #[cfg(not(target_feature = "avx2"))]
+    {
+        let mut place = 0;
+        for (lane, square) in square.to_array().into_iter().enumerate() {
+            // Written in any case, to lie behind what is kept or be overwritten: a branch here is mispredicted too often.
+            (numbers[place], squares[place]) = (number[lane], square);
+            place = (place + (kept >> lane & 1)).min(LANES - 1);
+        }
     }
 }
 
