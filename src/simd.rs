@@ -4,7 +4,10 @@
 //! packed together by shuffles of `safe_arch` where that is AVX2, else value by value.
 
 #[cfg(target_feature = "avx2")]
-use safe_arch::{m128i, m256i, shuffle_av_i8z_all_m128i, shuffle_av_i32_all_m256i};
+use safe_arch::{
+    cast_to_m128_from_m128i, cast_to_m128i_from_m128, m128i, m256i, shuffle_av_f32_all_m128,
+    shuffle_av_i32_all_m256i,
+};
 use wide::{f64x4, u32x4};
 
 /// Neighbours in a block.
@@ -49,7 +52,8 @@ fn pack(
         let bits = m256i::from(square.to_array().map(f64::to_bits));
         let packed: [u64; LANES] = shuffle_av_i32_all_m256i(bits, m256i::from(DOUBLES[kept])).into();
         *squares = packed.map(f64::from_bits);
-        *numbers = shuffle_av_i8z_all_m128i(m128i::from(*number), m128i::from(NUMBERS[kept])).into();
+        let bits = cast_to_m128_from_m128i(m128i::from(*number));
+        *numbers = cast_to_m128i_from_m128(shuffle_av_f32_all_m128(bits, m128i::from(NUMBERS[kept]))).into();
     }
     #[cfg(not(target_feature = "avx2"))]
     {
@@ -62,9 +66,9 @@ fn pack(
     }
 }
 
-/// For each set of lanes, its lanes in ascending order, each by the numbers of its `PARTS` parts.
+/// For each set of lanes, its lanes in ascending order, each by the numbers of its `PARTS` words of four bytes.
 #[cfg(target_feature = "avx2")]
-const fn packing<const PARTS: usize, const N: usize>() -> [[u8; N]; 1 << LANES] {
+const fn packing<const PARTS: usize, const N: usize>() -> [[u32; N]; 1 << LANES] {
     let mut table = [[0; N]; 1 << LANES];
     let mut set = 0;
     while set < table.len() {
@@ -72,7 +76,7 @@ const fn packing<const PARTS: usize, const N: usize>() -> [[u8; N]; 1 << LANES] 
         while lane < LANES {
             let mut part = 0;
             while set >> lane & 1 == 1 && part < PARTS {
-                table[set][place] = (lane * PARTS + part) as u8;
+                table[set][place] = (lane * PARTS + part) as u32;
                 (place, part) = (place + 1, part + 1);
             }
             lane += 1;
@@ -82,20 +86,10 @@ const fn packing<const PARTS: usize, const N: usize>() -> [[u8; N]; 1 << LANES] 
     table
 }
 
-/// Doubles by their halves.
 #[cfg(target_feature = "avx2")]
-static DOUBLES: [[u32; 2 * LANES]; 1 << LANES] = {
-    let (bytes, mut table, mut k) = (packing::<2, { 2 * LANES }>(), [[0; 2 * LANES]; 1 << LANES], 0);
-    while k < table.len() * 2 * LANES {
-        table[k / (2 * LANES)][k % (2 * LANES)] = bytes[k / (2 * LANES)][k % (2 * LANES)] as u32;
-        k += 1;
-    }
-    table
-};
-
-/// Numbers by their bytes.
+static DOUBLES: [[u32; 2 * LANES]; 1 << LANES] = packing::<2, { 2 * LANES }>();
 #[cfg(target_feature = "avx2")]
-static NUMBERS: [[u8; 4 * LANES]; 1 << LANES] = packing::<4, { 4 * LANES }>();
+static NUMBERS: [[u32; LANES]; 1 << LANES] = packing::<1, LANES>();
 
 #[cfg(test)]
 mod tests {

@@ -86,10 +86,7 @@ fn the_end_tells_how_ranks_shared_the_liquid() {
     if !done(&folder, line, 1) || !done(&folder, line, 3) {
         return;
     }
-    let of = |ranks: usize| {
-        let text = fs::read_to_string(folder.path().join(ranks.to_string()).join("summary.json")).unwrap();
-        serde_json::from_str::<serde_json::Value>(&text).unwrap()["ranks"].clone()
-    };
+    let of = |ranks: usize| common::summary(&folder.path().join(ranks.to_string()))["ranks"].clone();
     assert!(of(1).is_null());
     let found = of(3);
     let number = |name: &str| found[name].as_f64().unwrap();

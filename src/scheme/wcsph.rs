@@ -419,6 +419,7 @@ impl<const D: usize> Wcsph<D> {
             let row = if wall_pressure { row } else { row.split().0 };
             let pairs = row.blocks().map(|(index, f)| (Block::<D>::new(records, a, &index), f));
             let zero = Lanes::splat(0.0);
+            // sum_b v_ab . S grad W is the trace of S sum_b grad W (x) v_ab.
             rates.continuity = mass
                 * match shape {
                     Some(shape) => {
@@ -848,6 +849,7 @@ impl Pairs {
         excess: &impl Fn(&Wcsph<D>, usize, &[u32; LANES], &Block<D>) -> Lanes,
     ) {
         let (push_a, density_a) = (Lanes::splat(scheme.own_push(a)), Lanes::splat(scheme.density[a]));
+        let stress_a = if CORRECTED { scheme.own_push(a) * scheme.shape[a] } else { Matrix::zeros() };
         let mut sums = Sums::<D>::default();
         for (index, f) in row.blocks() {
             let pair = Block::<D>::new(&scheme.records, a, &index);
@@ -859,9 +861,9 @@ impl Pairs {
                 if CORRECTED {
                     // (push_a S_a + push_b S_b) r, the part (6) has for the pressures of (3).
                     for e in 0..D {
-                        let own = Lanes::splat(scheme.shape[a][(d, e)]);
                         let others = Lanes::new(index.map(|b| scheme.shape[b as usize][(d, e)]));
-                        push = (push_a * own + pair.push * others).mul_add(pair.r[e], push);
+                        let stress = Lanes::splat(stress_a[(d, e)]) + pair.push * others;
+                        push = stress.mul_add(pair.r[e], push);
                     }
                 }
                 sums.force[d] = f.mul_add(self.laminar * pair.v[d] - push, sums.force[d]);
