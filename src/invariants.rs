@@ -57,6 +57,8 @@ pub struct Invariants<const D: usize> {
     pub divergence: f64,
     /// Roughness of the pressure, mean of the samples so far.
     pub roughness: f64,
+    /// The last of them.
+    pub last_roughness: f64,
     /// How many samples had a pressure.
     samples: f64,
     /// Momentum in kg m/s that gravity should have led to.
@@ -79,6 +81,7 @@ impl<const D: usize> Default for Invariants<D> {
             density: 0.0,
             divergence: 0.0,
             roughness: 0.0,
+            last_roughness: 0.0,
             samples: 0.0,
             expected: Vector::zeros(),
             speed: 0.0,
@@ -235,7 +238,8 @@ impl<const D: usize> Invariants<D> {
         }
         if pressure > 0.0 {
             self.samples += 1.0;
-            self.roughness += ((rough / pressure).sqrt() - self.roughness) / self.samples;
+            self.last_roughness = (rough / pressure).sqrt();
+            self.roughness += (self.last_roughness - self.roughness) / self.samples;
         }
     }
 
@@ -291,9 +295,20 @@ impl<const D: usize> Invariants<D> {
     }
 
     /// What a state holds before the expected momentum.
-    fn numbers(&mut self) -> [&mut f64; 13] {
+    fn numbers(&mut self) -> [&mut f64; 14] {
         let Energy { initial, now, lowest, largest_rise, input } = &mut self.energy;
-        let Self { momentum, volume, density, divergence, roughness, samples, speed, mass, .. } = self;
+        let Self {
+            momentum,
+            volume,
+            density,
+            divergence,
+            roughness,
+            last_roughness,
+            samples,
+            speed,
+            mass,
+            ..
+        } = self;
         [
             initial,
             now,
@@ -305,6 +320,7 @@ impl<const D: usize> Invariants<D> {
             density,
             divergence,
             roughness,
+            last_roughness,
             samples,
             speed,
             mass,

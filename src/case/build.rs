@@ -183,6 +183,7 @@ pub fn wcsph<const D: usize>(case: &CaseFile, scene: &Scene<D>) -> wcsph::Method
     wcsph::Method {
         sound_speed,
         artificial_viscosity: if plain { scheme.artificial_viscosity } else { what_is_lacking },
+        velocity_smoothing: scheme.velocity_smoothing,
         wall_pressure: !plain,
         repulsion: Repulsion::new(gravity, depth, speed, params.spacing, if plain { 1.0 } else { GUARD }),
         density_diffusion: if plain { DiffusionKind::None } else { scheme.density_diffusion },

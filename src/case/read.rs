@@ -751,6 +751,9 @@ fn read_scheme(r: &Reader, weightless: bool) -> SchemeParams {
         artificial_viscosity: r
             .number("artificial_viscosity", Range::Within(0.0, 1.0), "")
             .or(default.artificial_viscosity),
+        velocity_smoothing: r
+            .number("velocity_smoothing", Range::Within(0.0, 1.0), "")
+            .or(default.velocity_smoothing),
         density_diffusion: r.variant("density_diffusion").or(default.density_diffusion),
         density_diffusion_coefficient: r
             .number("density_diffusion_coefficient", Range::Within(0.0, 1.0), "")

@@ -81,7 +81,7 @@ impl DamBreak {
         for a in scene.particles.fluid() {
             let column = ((scene.particles.position[a][0] - from) / width).floor();
             if column >= 0.0 && column < count as f64 {
-                depth[column as usize] += scene.spacing * scene.spacing / width;
+                depth[column as usize] += scene.params.spacing.powi(2) / width;
             }
         }
         depth
@@ -99,7 +99,7 @@ impl<const D: usize> Exact<D> for DamBreak {
     }
 
     fn compare(&self, scene: &Scene<'_, D>, time: f64) -> Vec<(f64, f64)> {
-        let (width, front) = (COLUMN * scene.spacing, self.front(time));
+        let (width, front) = (COLUMN * scene.params.spacing, self.front(time));
         let at_dam = Self::found(scene, self.dam - 0.5 * width, width, 1)[0];
         let count = ((front - self.end) / width).ceil() as usize;
         let square = |(k, found): (usize, &f64)| {

@@ -68,6 +68,15 @@ impl KernelKind {
             Self::Quintic => Quintic::SUPPORT,
         }
     }
+
+    /// W(r) in 1/m^D at smoothing length `h` in m, where single values are asked for.
+    pub fn value<const D: usize>(self, r: f64, h: f64) -> f64 {
+        match self {
+            Self::WendlandC2 => Smoothing::<D, WendlandC2>::new(h).pair(r).0,
+            Self::CubicSpline => Smoothing::<D, CubicSpline>::new(h).pair(r).0,
+            Self::Quintic => Smoothing::<D, Quintic>::new(h).pair(r).0,
+        }
+    }
 }
 
 #[cfg(test)]

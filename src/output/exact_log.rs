@@ -46,8 +46,7 @@ impl<const D: usize> ExactLog<D> {
 
     /// Adds the row of the present state.
     pub fn sample(&mut self, simulation: &Simulation<D>) -> Result<()> {
-        let Params { gravity, spacing, .. } = self.params;
-        let scene = Scene::of(simulation, self.params.mass(), gravity, spacing);
+        let scene = Scene::of(simulation, &self.params);
         let mut row = vec![Cell::Number(simulation.time)];
         for (found, exact) in self.exact.compare(&scene, simulation.time) {
             row.extend([Cell::Number(found), Cell::Number(exact)]);

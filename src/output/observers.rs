@@ -88,13 +88,9 @@ impl<const D: usize> History<D> {
         })
     }
 
-    fn scene<'a>(&self, simulation: &'a Simulation<D>) -> Scene<'a, D> {
-        Scene::of(simulation, self.params.mass(), self.params.gravity, self.params.spacing)
-    }
-
     /// Adds a row.
     pub fn sample(&mut self, simulation: &Simulation<D>) -> Result<()> {
-        let scene = self.scene(simulation);
+        let scene = Scene::of(simulation, &self.params);
         let time = Cell::Number(simulation.time);
         let values = quantities::history::<D>().map(|(_, value)| Cell::Number(value(&scene)));
         self.table.row(&[&[time], &values[..]].concat())

@@ -7,8 +7,9 @@
 //! hydrostatically: p(r) = sum_b W_b (p_b + rho g . (r - r_b)) / sum_b W_b. In still water this is exact wherever r lies,
 //! on a wall's face too. Only what r sees counts: liquid with no solid box in between, and wall particles one of whose
 //! faces it sees, so that a thin box does not mix the pressures of its two sides. (A plate one particle thick is open on
-//! two opposite sides and carries one pressure for both: its own particles do not count.) Where walls carry no pressure
-//! the liquid alone counts. A gauge whose liquid neighbours fill less than a quarter of what a flat wall leaves
+//! two opposite sides and carries one pressure for both: its own particles do not count.) Walls that carry no pressure but repel liquid
+//! tell what pushes them: where a gauge sees some beside liquid, p_b is the force on such a particle along its normal over the area that
+//! it stands for, and liquid does not count: its pressures ring beside a wall that stops particles one by one. A gauge whose liquid neighbours fill less than a quarter of what a flat wall leaves
 //! open is *dry*.
 //!
 //! A **filter**, if asked for, is the mean of the rows within the last `filter` seconds: causal, so a signal comes out
@@ -23,7 +24,6 @@ use super::checkpoint;
 use super::table::Cell;
 use crate::case::{Probe, build::vector};
 use crate::geometry::{Lattice, Obstacles, WallCell};
-use crate::kernel::{CubicSpline, Kernel, KernelKind, Quintic, Smoothing, WendlandC2};
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Fields, Params};
 use crate::{Error, Result};
@@ -40,7 +40,6 @@ pub struct Gauges<const D: usize> {
     gauges: Vec<Gauge<D>>,
     bins: Bins,
     obstacles: Obstacles<D>,
-    kernel: fn(f64, f64) -> f64,
     params: Params<D>,
 }
 
@@ -62,24 +61,14 @@ enum Kind<const D: usize> {
     },
 }
 
-fn kernel_value<const D: usize, K: Kernel>(r: f64, h: f64) -> f64 {
-    Smoothing::<D, K>::new(h).pair(r).0
-}
-
 impl<const D: usize> Gauges<D> {
     /// Gauges among `probes`, in the scene of `particles` on `lattice`, for a scheme with these parameters.
     pub fn new(probes: &[Probe], lattice: &Lattice<D>, particles: &Particles<D>, params: &Params<D>) -> Self {
-        let kernel = match params.kernel {
-            KernelKind::WendlandC2 => kernel_value::<D, WendlandC2>,
-            KernelKind::CubicSpline => kernel_value::<D, CubicSpline>,
-            KernelKind::Quintic => kernel_value::<D, Quintic>,
-        };
         let support = params.support();
         let mut all = Self {
             gauges: vec![],
             bins: Bins::default(),
             obstacles: lattice.obstacles(),
-            kernel,
             params: params.clone(),
         };
         let cells = lattice.wall_cells();
@@ -161,7 +150,7 @@ impl<const D: usize> Gauges<D> {
     }
 
     fn weight(&self, r: f64) -> f64 {
-        (self.kernel)(r, self.params.smoothing_length())
+        self.params.kernel.value::<D>(r, self.params.smoothing_length())
     }
 
     fn pressure(
@@ -186,11 +175,40 @@ impl<const D: usize> Gauges<D> {
                 wet = add(b, self.weight(r));
             }
         }
+        let is_wet = wet * self.params.volume() > WET;
+        if !fields.walls_carry_pressure {
+            let pushed = self.pressure_by_force(particles, fields, at, walls, near);
+            return is_wet.then(|| pushed.unwrap_or(sum / weights));
+        }
         let is_active = |b: usize| fields.active.get(b).copied().unwrap_or(false);
-        for &(b, w) in walls.iter().filter(|(b, _)| fields.walls_carry_pressure && is_active(*b as usize)) {
+        for &(b, w) in walls.iter().filter(|(b, _)| is_active(*b as usize)) {
             add(b as usize, w);
         }
-        (wet * self.params.volume() > WET).then(|| sum / weights)
+        is_wet.then(|| sum / weights)
+    }
+
+    /// What liquid pushes walls in sight with, in Pa, where it stands within a spacing and a half of some.
+    fn pressure_by_force(
+        &self,
+        particles: &Particles<D>,
+        fields: &Fields<D>,
+        at: &Vector<D>,
+        walls: &[(u32, f64)],
+        near: &[u32],
+    ) -> Option<f64> {
+        let (spacing, gradient) = (self.params.spacing, self.params.density * self.params.gravity);
+        let is_beside_liquid =
+            |r: &Vector<D>| near.iter().any(|&b| (particles.position[b as usize] - r).norm() < 1.5 * spacing);
+        let (mut weights, mut sum) = (0.0, 0.0);
+        for &(b, w) in walls {
+            let (b, r) = (b as usize, &particles.position[b as usize]);
+            if let Some(force) = fields.wall_force.get(b).filter(|_| is_beside_liquid(r)) {
+                let pressure = -force.dot(&particles.normal[b]) / spacing.powi(D as i32 - 1);
+                weights += w;
+                sum += w * (pressure + gradient.dot(&(at - r)));
+            }
+        }
+        (weights > 0.0).then(|| sum / weights)
     }
 
     fn height(
@@ -369,18 +387,29 @@ max = [0.44, 0.3]
 until = 1
 "#;
 
-    /// Readings with 0.2 m of water before a thin box and 0.1 m behind it, each hydrostatic by decree.
-    fn read_with(probes: &str, walls_carry_pressure: bool) -> Vec<Cell<'static>> {
+    /// How walls know the pressure.
+    #[derive(Clone, Copy, PartialEq)]
+    enum Walls {
+        Carry,
+        Ignore,
+        Feel,
+    }
+
+    /// Readings with 0.2 m of water before a thin box and 0.1 m behind it, each hydrostatic by decree; walls that feel it know it alone.
+    fn read_with(probes: &str, walls: Walls) -> Vec<Cell<'static>> {
         let case = read::read(CASE, "bath", &[("probe".to_owned(), format!("[{probes}]"))]).unwrap();
         let scene = build::scene::<2>(&case);
         let mut particles = scene.particles;
         let level = |r: &Vector<2>| if r.x < 0.42 { 0.2 } else { 0.1 };
-        particles.pressure = match walls_carry_pressure {
-            true => particles.position.iter().map(|r| 9810.0 * (level(r) - r.y)).collect(),
-            false => vec![0.0; particles.len()],
-        };
-        for b in particles.fluid() {
-            particles.pressure[b] = 9810.0 * (level(&particles.position[b]) - particles.position[b].y);
+        let hydrostatic = |r: &Vector<2>| 9810.0 * (level(r) - r.y);
+        for b in if walls == Walls::Carry { 0..particles.len() } else { particles.fluid() } {
+            particles.pressure[b] = hydrostatic(&particles.position[b]);
+        }
+        let mut wall_force = vec![];
+        if walls == Walls::Feel {
+            particles.pressure.fill(1e6);
+            let push = |w: usize| -0.02 * hydrostatic(&particles.position[w]) * particles.normal[w];
+            wall_force.extend(particles.walls().map(push));
         }
         let active: Vec<bool> = particles.position.iter().map(|r| r.y < level(r)).collect();
         let fields = Fields {
@@ -388,8 +417,8 @@ until = 1
             surface: &[],
             active: &active,
             neighbors: &Neighbors::default(),
-            walls_carry_pressure,
-            wall_force: &[],
+            walls_carry_pressure: walls == Walls::Carry,
+            wall_force: &wall_force,
         };
         Gauges::new(&case.probes, &scene.lattice, &particles, &scene.params).read(
             &particles,
@@ -415,10 +444,12 @@ until = 1
     fn hydrostatic_pressure_is_exact_on_faces_on_either_side_of_a_thin_box() {
         let places =
             [(0.1, 0.1), (0.0, 0.07), (0.2, 0.0), (0.0, 0.0), (0.4, 0.05), (0.44, 0.05), (0.44, 0.0)];
-        for walls_carry_pressure in [true, false] {
+        for walls in [Walls::Carry, Walls::Ignore, Walls::Feel] {
             let probes = places.map(|(x, y)| pressure(x, y)).join(", ");
-            let found = read_with(&probes, walls_carry_pressure);
-            for ((x, y), cell) in places.into_iter().zip(found) {
+            let found = read_with(&probes, walls);
+            // The first stands in the water, out of reach of walls that feel.
+            let on_walls = usize::from(walls == Walls::Feel);
+            for ((x, y), cell) in places.into_iter().zip(found).skip(on_walls) {
                 let expected = 9810.0 * (if x < 0.42 { 0.2 } else { 0.1 } - y);
                 assert!((number(cell) - expected).abs() < 1e-6, "({x}, {y}): {cell:?} Pa, {expected} Pa");
             }
@@ -428,10 +459,10 @@ until = 1
     #[test]
     fn gauges_above_the_water_are_dry() {
         let probes = [pressure(0.0, 0.24), pressure(0.44, 0.15), pressure(0.6, 0.3)].join(", ");
-        assert_eq!(read_with(&probes, true), [Cell::Word(DRY); 3]);
+        assert_eq!(read_with(&probes, Walls::Carry), [Cell::Word(DRY); 3]);
         let lines = "{kind = 'height', name = 'a', position = [0.6, 0.2]}, \
                      {kind = 'height', name = 'b', position = [0.42, 0.3]}";
-        assert_eq!(read_with(lines, true), [Cell::Word(DRY); 2]);
+        assert_eq!(read_with(lines, Walls::Carry), [Cell::Word(DRY); 2]);
     }
 
     #[test]
@@ -446,7 +477,7 @@ until = 1
             (0.6, 0.1),
             (0.8, 0.1),
         ];
-        let found = read_with(&lines.map(|(x, _)| height(x)).join(", "), true);
+        let found = read_with(&lines.map(|(x, _)| height(x)).join(", "), Walls::Carry);
         for ((x, expected), cell) in lines.into_iter().zip(found) {
             assert!((number(cell) - expected).abs() < 0.05 * 0.02, "{x}: {cell:?} m, {expected} m");
         }

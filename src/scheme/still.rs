@@ -1,11 +1,11 @@
 //! The whole scene at one moment, as those see it who look: particles and fields of all ranks, gathered on the first.
 //!
-//! Looking costs what gathering and one neighbour search on one rank cost, and the memory of the whole scene there.
+//! Looking costs what gathering costs, and the memory of the whole scene on the first rank. Nobody's neighbours are known there.
 
 use super::{Compressibility, Fields, Params, Scheme, Stages, StepReport};
 use crate::bodies::Bodies;
 use crate::halo::Halo;
-use crate::neighbors::{Layout, Neighbors};
+use crate::neighbors::Neighbors;
 use crate::parallel::{Packed, Ranks};
 use crate::particles::{Fluid, Particles, Vector};
 use crate::{Error, Result};
@@ -87,12 +87,12 @@ impl<const D: usize> Still<D> {
                 *place = force;
             }
         }
-        still.look_around(&mut whole);
+        still.add_ghosts(&mut whole);
         Some((whole, still))
     }
 
-    /// Ghosts and neighbours of walls and liquid.
-    fn look_around(&mut self, whole: &mut Particles<D>) {
+    /// Ghosts.
+    fn add_ghosts(&mut self, whole: &mut Particles<D>) {
         self.halo.renew(whole);
         for field in [&mut self.crowding, &mut self.surface] {
             field.resize(whole.len(), 0.0);
@@ -100,10 +100,6 @@ impl<const D: usize> Still<D> {
         }
         self.active.resize(whole.len(), false);
         self.halo.refresh(whole.originals(), &mut self.active);
-        let dummies = whole.dummies();
-        let threshold = |a| if dummies.contains(&a) { f64::INFINITY } else { f64::NEG_INFINITY };
-        let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
-        self.neighbors.search(kernel, h, &whole.position, &Layout::of(whole), threshold);
     }
 }
 

@@ -81,6 +81,16 @@
 //! It works on sound of wavelength l within some (l / h) / (20 chi) periods. `stretching_drop` at R/25 has its centre pressure off
 //! by 3.0 and 1.8 % rms at chi = 0.5 and 1 (largest 7.1 and 4.2 %); its axes and the 2D dam break do not feel it.
 //!
+//! **Smoothed velocities** (XSPH; Monaghan 1989, J. Comput. Phys. 82, 1-15). On request particles move not with v but with
+//!
+//! dr_a/dt = v_a + eps sum_b m / rho_ab (v_b - v_a) W,   rho_ab = (rho_a + rho_b) / 2                (7)
+//!
+//! over the liquid, eps = 0.5 in Monaghan (1994): neighbours do not run through each other, and nothing is dissipated. Less artificial viscosity then
+//! serves, but not in a splash: with alpha = 0.05 and the sound of Monaghan (1994), sqrt(200 g H), the plain scheme brings the flood of the 3D dam break to the
+//! box in 0.421 s at 0.0183 m (0.434 s with alpha = 0.1 and without), but then clumps, pressures reach 0.7 MPa and steps shrink
+//! to a fifth. It wants shorter steps too: at a Courant number of 0.5 that run gains 120 % of its energy in 1 s, at 0.3 0.8 %; the 2D dam break at
+//! 0.01 m 8.6 and 0.5 %, without (7) 0.5 % at either. With the smoothed velocities in (2) as well the 2D front is 11 ms later.
+//!
 //! **Position Verlet** (Parshikov et al. 2000). With one neighbour search, at the middle,
 //!
 //! 1. r' = r^n + dt/2 v^n,        rho' = rho^n + dt/2 D(r', v^n)
@@ -126,6 +136,8 @@ pub struct Method {
     pub sound_speed: f64,
     /// Coefficient alpha of the artificial viscosity.
     pub artificial_viscosity: f64,
+    /// epsilon of (7); 0 leaves it out.
+    pub velocity_smoothing: f64,
     /// Walls carry a pressure extrapolated from the liquid.
     pub wall_pressure: bool,
     /// The force of the first layer of walls on liquid that comes too close.
@@ -687,6 +699,25 @@ impl<const D: usize> Wcsph<D> {
         self.moves = moves;
     }
 
+    /// Liquid moves on with the smoothed velocity, Eq. (7).
+    fn smooth(&mut self, particles: &mut Particles<D>, dt: f64) {
+        self.halo.refresh(particles.originals(), &mut self.density);
+        let (mut moves, first) = (std::mem::take(&mut self.moves), particles.solids());
+        moves.resize(particles.owned() - first, (Vector::zeros(), Vector::zeros()));
+        let (neighbors, velocity, density) = (&self.neighbors, &particles.velocity, &self.density);
+        let share = 2.0 * self.method.velocity_smoothing * self.params.mass() * dt;
+        moves.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, (dr, dv))| {
+            let a = first + k;
+            let pull =
+                |(b, w, _): (usize, f64, f64)| w / (density[a] + density[b]) * (velocity[b] - velocity[a]);
+            let liquid = neighbors.row(a).split().0;
+            (*dr, *dv) = (share * liquid.iter().map(pull).sum::<Vector<D>>(), Vector::zeros());
+        });
+        Shifting::apply(particles, &moves);
+        self.halo.place(particles);
+        self.moves = moves;
+    }
+
     /// The pressures that belong to the final densities, and what the step found out.
     fn conclude(&mut self, particles: &mut Particles<D>) {
         let (first, state_equation) = (particles.solids(), self.state_equation);
@@ -982,6 +1013,9 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
         self.push_walls(particles);
         if self.method.shifting > 0.0 {
             watch.time("shift", || self.shift(particles, dt));
+        }
+        if self.method.velocity_smoothing > 0.0 {
+            watch.time("shift", || self.smooth(particles, dt));
         }
         drift(particles, 0.5 * dt);
         self.afloat.arrive(particles, dt);
