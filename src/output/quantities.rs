@@ -81,7 +81,7 @@ pub fn front<const D: usize>(scene: &Scene<D>) -> f64 {
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(first, last), a| (x(a).min(first), x(a).max(last)));
     // The front is mostly within a few spacings of the foremost particle: not all of the liquid needs to be sorted.
     let mut depth = 8.0 * near;
-    while last > f64::NEG_INFINITY {
+    loop {
         let mut slab: Vec<usize> = scene.liquid().filter(|a| x(*a) > last - depth - near).collect();
         slab.sort_unstable_by(|&a, &b| x(b).total_cmp(&x(a)));
         let mut begin = 0;
@@ -94,12 +94,12 @@ pub fn front<const D: usize>(scene: &Scene<D>) -> f64 {
                 return x(a);
             }
         }
+        // Without liquid as well: the bounds are then the wrong way round.
         if last - depth < first {
-            break;
+            return f64::NEG_INFINITY;
         }
         depth *= 4.0;
     }
-    f64::NEG_INFINITY
 }
 
 /// Kinetic energy of the liquid in J.
