@@ -87,7 +87,7 @@
 //!
 //! over the liquid, eps = 0.5 in Monaghan (1994): neighbours do not run through each other, and nothing is dissipated. Less artificial viscosity then
 //! serves, but not in a splash: with alpha = 0.05 and the sound of Monaghan (1994), sqrt(200 g H), the plain scheme brings the flood of the 3D dam break to the
-//! box in 0.421 s at 0.0183 m (0.434 s with alpha = 0.1 and without), but then clumps, pressures reach 0.7 MPa and steps shrink
+//! box in 0.422 s at 0.0183 m (0.434 s with alpha = 0.1 and without), but then clumps, pressures reach 0.7 MPa and steps shrink
 //! to a fifth. It wants shorter steps too: at a Courant number of 0.5 that run gains 120 % of its energy in 1 s, at 0.3 0.8 %; the 2D dam break at
 //! 0.01 m 8.6 and 0.5 %, without (7) 0.5 % at either. With the smoothed velocities in (2) as well the 2D front is 11 ms later.
 //!
