@@ -296,34 +296,22 @@ impl<const D: usize> Invariants<D> {
 
     /// What a state holds before the expected momentum.
     fn numbers(&mut self) -> [&mut f64; 14] {
-        let Energy { initial, now, lowest, largest_rise, input } = &mut self.energy;
-        let Self {
-            momentum,
-            volume,
-            density,
-            divergence,
-            roughness,
-            last_roughness,
-            samples,
-            speed,
-            mass,
-            ..
-        } = self;
+        let energy = &mut self.energy;
         [
-            initial,
-            now,
-            lowest,
-            largest_rise,
-            input,
-            momentum,
-            volume,
-            density,
-            divergence,
-            roughness,
-            last_roughness,
-            samples,
-            speed,
-            mass,
+            &mut energy.initial,
+            &mut energy.now,
+            &mut energy.lowest,
+            &mut energy.largest_rise,
+            &mut energy.input,
+            &mut self.momentum,
+            &mut self.volume,
+            &mut self.density,
+            &mut self.divergence,
+            &mut self.roughness,
+            &mut self.last_roughness,
+            &mut self.samples,
+            &mut self.speed,
+            &mut self.mass,
         ]
     }
 }

@@ -177,13 +177,12 @@ until = 1
         particles.pressure = pressure;
         let active: Vec<bool> = particles.position.iter().map(|r| r.y < 0.4).collect();
         let reactions = vec![wall_force.unwrap_or_default(); particles.walls().len()];
+        let neighbors = Neighbors::default();
         let fields = Fields {
-            crowding: &[],
-            surface: &[],
             active: &active,
-            neighbors: &Neighbors::default(),
             walls_carry_pressure: wall_force.is_none(),
             wall_force: if wall_force.is_some() { &reactions } else { &[] },
+            ..Fields::none(&neighbors)
         };
         Forces::new(&case, &scene.lattice, &scene.params).read(&particles, &fields, &scene.params.gravity)
     }

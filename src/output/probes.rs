@@ -175,16 +175,18 @@ impl<const D: usize> Gauges<D> {
                 wet = add(b, self.weight(r));
             }
         }
-        let is_wet = wet * self.params.volume() > WET;
+        if wet * self.params.volume() <= WET {
+            return None;
+        }
         if !fields.walls_carry_pressure {
             let pushed = self.pressure_by_force(particles, fields, at, walls, near);
-            return is_wet.then(|| pushed.unwrap_or(sum / weights));
+            return Some(pushed.unwrap_or(sum / weights));
         }
         let is_active = |b: usize| fields.active.get(b).copied().unwrap_or(false);
         for &(b, w) in walls.iter().filter(|(b, _)| is_active(*b as usize)) {
             add(b as usize, w);
         }
-        is_wet.then(|| sum / weights)
+        Some(sum / weights)
     }
 
     /// What liquid pushes walls in sight with, in Pa, where it stands within a spacing and a half of some.
@@ -197,8 +199,11 @@ impl<const D: usize> Gauges<D> {
         near: &[u32],
     ) -> Option<f64> {
         let (spacing, gradient) = (self.params.spacing, self.params.density * self.params.gravity);
-        let is_beside_liquid =
-            |r: &Vector<D>| near.iter().any(|&b| (particles.position[b as usize] - r).norm() < 1.5 * spacing);
+        // Of a whole slice of the scene, what can stand beside a wall in reach.
+        let beside = 1.5 * spacing;
+        let near = near.iter().map(|&b| &particles.position[b as usize]);
+        let near: Vec<_> = near.filter(|r| (at - *r).norm() < self.params.support() + beside).collect();
+        let is_beside_liquid = |r: &Vector<D>| near.iter().any(|r_b| (*r_b - r).norm() < beside);
         let (mut weights, mut sum) = (0.0, 0.0);
         for &(b, w) in walls {
             let (b, r) = (b as usize, &particles.position[b as usize]);
@@ -412,13 +417,12 @@ until = 1
             wall_force.extend(particles.walls().map(push));
         }
         let active: Vec<bool> = particles.position.iter().map(|r| r.y < level(r)).collect();
+        let neighbors = Neighbors::default();
         let fields = Fields {
-            crowding: &[],
-            surface: &[],
             active: &active,
-            neighbors: &Neighbors::default(),
             walls_carry_pressure: walls == Walls::Carry,
             wall_force: &wall_force,
+            ..Fields::none(&neighbors)
         };
         Gauges::new(&case.probes, &scene.lattice, &particles, &scene.params).read(
             &particles,
@@ -495,14 +499,7 @@ until = 1
             let case = read::read(CASE, "bath", &sets.map(|(k, v)| (k.to_owned(), v))).unwrap();
             let scene = build::scene::<2>(&case);
             let neighbors = Neighbors::default();
-            let fields = Fields {
-                crowding: &[],
-                surface: &[],
-                active: &[],
-                neighbors: &neighbors,
-                walls_carry_pressure: true,
-                wall_force: &[],
-            };
+            let fields = Fields::none(&neighbors);
             let mut gauges = Gauges::new(&case.probes, &scene.lattice, &scene.particles, &scene.params);
             let height = number(gauges.read(&scene.particles, &fields, &scene.params.gravity, 0.0)[0]);
             assert!((height / spacing - 1.0).abs() < 0.05, "{height} m at {spacing} m");

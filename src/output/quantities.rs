@@ -166,14 +166,7 @@ mod tests {
         let (mut particles, near) = (scene.particles, 1.5 * scene.params.spacing);
         let neighbors = Neighbors::default();
         let front_of = |particles: &Particles<2>| {
-            let fields = Fields {
-                crowding: &[],
-                surface: &[],
-                active: &[],
-                neighbors: &neighbors,
-                walls_carry_pressure: true,
-                wall_force: &[],
-            };
+            let fields = Fields::none(&neighbors);
             front(&Scene { particles, fields, params: &scene.params, roughness: 0.0 })
         };
         let naive = |particles: &Particles<2>| {

@@ -91,7 +91,7 @@ impl<const D: usize> Still<D> {
         Some((whole, still))
     }
 
-    /// Ghosts.
+    /// Ghosts, with their fields.
     fn add_ghosts(&mut self, whole: &mut Particles<D>) {
         self.halo.renew(whole);
         for field in [&mut self.crowding, &mut self.surface] {
