@@ -14,7 +14,7 @@ use crate::motion::Motion;
 use crate::output::bodies::BodyLog;
 use crate::output::comparison::References;
 use crate::output::exact_log::ExactLog;
-use crate::output::observers::{History, Probes, Snapshots, SolverLog, Systems};
+use crate::output::observers::{History, Meters, Probes, Readings, Snapshots, SolverLog, Systems};
 use crate::output::picture::gallery::{self, Pictures};
 use crate::output::profiles::{self, Profiles};
 use crate::output::{Progress, RunFolder, Status, write_atomic};
@@ -78,6 +78,7 @@ struct Run<'a, const D: usize> {
     case: &'a CaseFile,
     ranks: Ranks,
     simulation: Simulation<D>,
+    meters: Meters<D>,
     /// On the first rank.
     output: Option<Output<'a, D>>,
     folder: PathBuf,
@@ -94,9 +95,9 @@ struct Run<'a, const D: usize> {
 struct Output<'a, const D: usize> {
     case: &'a CaseFile,
     folder: RunFolder,
-    history: History<D>,
+    history: History,
     exact: Option<ExactLog<D>>,
-    probes: Probes<D>,
+    probes: Probes,
     profiles: Option<Profiles>,
     solver_log: SolverLog,
     snapshots: Snapshots<D>,
@@ -144,10 +145,12 @@ impl<'a, const D: usize> Run<'a, D> {
             log::info!("{sentence} (no multiple of the spacing)");
         }
         log::info!("{described}");
+        let mut meters = Meters::new(case, &scene);
         let (opened, saved) = match resumed {
             None => (None, None),
             Some((path, state)) => {
-                ranks.agree(restart::restore(&mut simulation, &state))?;
+                ranks
+                    .agree(restart::restore(&mut simulation, &state).and_then(|()| meters.restore(&state)))?;
                 log::info!("resumed at t = {:.6} s, step {}", simulation.time, simulation.step);
                 (Some(path), Some(state))
             }
@@ -159,7 +162,7 @@ impl<'a, const D: usize> Run<'a, D> {
                 None => create_folder(args, case)?,
             };
             write_run_file(&folder, args, case, ranks)?;
-            Output::new(args, case, &scene, folder, (references, measured), saved.as_ref(), since, described)
+            Output::new(args, case, &scene, folder, (references, measured), since, described)
         };
         let output = ranks.agree(ranks.is_first().then(open).transpose())?;
         let path = output.as_ref().map_or(Path::new(""), |output| output.folder.path());
@@ -175,6 +178,7 @@ impl<'a, const D: usize> Run<'a, D> {
             ranks,
             output,
             folder,
+            meters,
             simulation,
         };
         let stop = run.stop.clone();
@@ -185,7 +189,8 @@ impl<'a, const D: usize> Run<'a, D> {
             log::warn!("SIGUSR1 will not save a checkpoint: {error}");
         }
         if since.is_none() {
-            run.show(Output::first_rows)?;
+            let readings = run.meters.read(&run.simulation);
+            run.show(|output, whole| output.first_rows(whole, &readings))?;
         }
         Ok(run)
     }
@@ -255,23 +260,32 @@ impl<'a, const D: usize> Run<'a, D> {
         })
     }
 
-    /// Tables, files and pictures that are due after a step; without any the scene is not gathered.
+    /// Tables, files and pictures that are due after a step: all ranks read what rows tell, and only for what shows particles the
+    /// scene is gathered.
     fn observe(&mut self, report: &StepReport) -> Result<()> {
         self.ranks.agree(self.systems.save_due(&self.simulation))?;
         let simulation = &self.simulation;
-        let particles = self.ranks.sum(simulation.particles.fluid().len() as f64) as usize;
-        let noted = self.output.as_mut().map(|output| output.note(simulation, report, particles));
-        self.ranks.agree(noted.unwrap_or(Ok(())))?;
-        let is_due = self.output.as_ref().is_some_and(|output| output.is_due(simulation.time));
-        if self.ranks.any(is_due) {
-            self.show(|output, whole| output.observe(whole, report))?;
+        let (rows, scene) = self.output.as_mut().map_or((false, false), |output| {
+            (output.rows_are_due(simulation.time), output.is_due(simulation.time))
+        });
+        let counts = [simulation.particles.fluid().len(), usize::from(rows), usize::from(scene)];
+        let counts = self.ranks.sums(&counts.map(|count| count as f64));
+        let readings = (counts[1] > 0.0).then(|| self.meters.read(simulation));
+        let noted = self.output.as_mut().map_or(Ok(()), |output| {
+            output.note(simulation, report, counts[0] as usize)?;
+            readings.map_or(Ok(()), |readings| output.add_rows(simulation, &readings))
+        });
+        self.ranks.agree(noted)?;
+        match counts[2] > 0.0 {
+            true => self.show(|output, whole| output.observe(whole, report)),
+            false => Ok(()),
         }
-        Ok(())
     }
 
     /// A checkpoint, and before it the rows that belong to it.
     fn save(&mut self) -> Result<()> {
-        self.show(Output::save)
+        let (output, meters) = (self.output.as_mut(), &self.meters);
+        self.simulation.show(|whole| output.map_or(Ok(()), |output| output.save(whole, meters)))
     }
 
     /// The state in which the last step failed, as particles to look at.
@@ -291,25 +305,20 @@ impl<'a, const D: usize> Run<'a, D> {
 }
 
 impl<'a, const D: usize> Output<'a, D> {
-    #[allow(clippy::too_many_arguments)]
     fn new(
         args: &RunArgs,
         case: &'a CaseFile,
         scene: &Scene<D>,
         folder: RunFolder,
         (references, measured): (References<'a>, Option<(&'a Profile, profiles::Measured)>),
-        saved: Option<&checkpoint::Reader>,
         since: Option<f64>,
         solver: String,
     ) -> Result<Self> {
         let params = &scene.params;
-        let history = History::new(&folder, case, params, since)?;
-        let mut probes = Probes::new(&folder, case, scene, since)?;
-        if let Some(state) = saved {
-            probes.restore(state)?;
-        }
+        let history = History::new::<D>(&folder, case, since)?;
+        let probes = Probes::new(&folder, case, since)?;
         let exact = exact::of_case(case, params)
-            .map(|exact| ExactLog::new(&folder, exact, params, case.output.samples, since))
+            .map(|exact| ExactLog::new(&folder, exact, case.output.samples, since))
             .transpose()?;
         let profiles = measured
             .map(|(profile, points)| Profiles::new(&folder, profile, points, params.spacing, since))
@@ -335,12 +344,12 @@ impl<'a, const D: usize> Output<'a, D> {
     }
 
     /// The initial state.
-    fn first_rows(&mut self, simulation: &Simulation<D>) -> Result<()> {
-        self.history.sample(simulation)?;
+    fn first_rows(&mut self, simulation: &Simulation<D>, readings: &Readings<D>) -> Result<()> {
+        self.history.sample(simulation.time, readings)?;
         if let Some(exact) = &mut self.exact {
             exact.sample(simulation)?;
         }
-        self.probes.sample(simulation)?;
+        self.probes.sample(simulation, readings)?;
         self.snapshots.write(simulation)?;
         if let Some(bodies) = &mut self.bodies {
             bodies.sample(simulation)?;
@@ -361,35 +370,34 @@ impl<'a, const D: usize> Output<'a, D> {
         self.solver_log.observe(simulation, report)
     }
 
-    fn observers(&self) -> impl Iterator<Item = &dyn Observer<D>> {
-        let always: [&dyn Observer<D>; 4] = [&self.history, &self.probes, &self.snapshots, &self.pictures];
-        let exact = self.exact.as_ref().map(|exact| exact as &dyn Observer<D>);
-        let profiles = self.profiles.as_ref().map(|profiles| profiles as &dyn Observer<D>);
-        let bodies = self.bodies.as_ref().map(|bodies| bodies as &dyn Observer<D>);
-        always.into_iter().chain(exact).chain(profiles).chain(bodies)
+    fn rows_are_due(&self, time: f64) -> bool {
+        let of_bodies = self.bodies.as_ref().is_some_and(|bodies| bodies.is_due(time));
+        self.history.is_due(time) || self.probes.is_due(time) || of_bodies
     }
 
-    fn is_due(&self, time: f64) -> bool {
+    fn add_rows(&mut self, simulation: &Simulation<D>, readings: &Readings<D>) -> Result<()> {
+        self.history.observe(simulation.time, readings)?;
+        self.probes.observe(simulation, readings)?;
+        self.bodies.as_mut().map_or(Ok(()), |bodies| bodies.observe(simulation))
+    }
+
+    /// Those that look at particles.
+    fn observers(&mut self) -> impl Iterator<Item = &mut dyn Observer<D>> {
+        let always: [&mut dyn Observer<D>; 2] = [&mut self.snapshots, &mut self.pictures];
+        let exact = self.exact.as_mut().map(|exact| exact as &mut dyn Observer<D>);
+        let profiles = self.profiles.as_mut().map(|profiles| profiles as &mut dyn Observer<D>);
+        always.into_iter().chain(exact).chain(profiles)
+    }
+
+    fn is_due(&mut self, time: f64) -> bool {
         self.observers().any(|observer| observer.is_due(time))
     }
 
     fn observe(&mut self, simulation: &Simulation<D>, report: &StepReport) -> Result<()> {
-        self.history.observe(simulation, report)?;
-        if let Some(exact) = &mut self.exact {
-            exact.observe(simulation, report)?;
-        }
-        self.probes.observe(simulation, report)?;
-        if let Some(profiles) = &mut self.profiles {
-            profiles.observe(simulation, report)?;
-        }
-        self.snapshots.observe(simulation, report)?;
-        if let Some(bodies) = &mut self.bodies {
-            bodies.observe(simulation, report)?;
-        }
-        self.pictures.observe(simulation, report)
+        self.observers().try_for_each(|observer| observer.observe(simulation, report))
     }
 
-    fn save(&mut self, simulation: &Simulation<D>) -> Result<()> {
+    fn save(&mut self, simulation: &Simulation<D>, meters: &Meters<D>) -> Result<()> {
         self.history.flush()?;
         self.probes.flush()?;
         self.bodies.as_mut().map_or(Ok(()), BodyLog::flush)?;
@@ -398,7 +406,7 @@ impl<'a, const D: usize> Output<'a, D> {
         self.profiles.as_mut().map_or(Ok(()), Profiles::flush)?;
         let mut writer = checkpoint::Writer::new();
         restart::save(simulation, &mut writer);
-        self.probes.save(&mut writer);
+        meters.save(&mut writer);
         writer.u64("scene", &[scene_number(self.case)]);
         writer.save(&self.folder.join("checkpoint"), simulation.step).map(|_| ())
     }

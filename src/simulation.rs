@@ -29,11 +29,11 @@ pub struct Simulation<const D: usize> {
     pub invariants: Invariants<D>,
     /// Body force per mass in m/s2 that the liquid felt in the last step: gravity, minus the acceleration of the tank.
     pub body_force: Vector<D>,
+    /// In m/s2, without the motion of the tank: it tells which way things fall in the end.
+    pub gravity: Vector<D>,
     motion: Option<Motion<D>>,
     control: StepControl,
     enclosure: Enclosure<D>,
-    /// Without the motion of the tank: it tells which way things fall in the end.
-    gravity: Vector<D>,
     speed_limit: f64,
     margin: f64,
     ranks: Ranks,

@@ -11,8 +11,7 @@ use crate::Result;
 use crate::bodies::{Bodies, Body};
 use crate::case::{CaseFile, axes};
 use crate::form::{Point, point};
-use crate::scheme::StepReport;
-use crate::simulation::{Observer, Simulation};
+use crate::simulation::Simulation;
 use std::path::Path;
 
 /// Axes about which bodies turn.
@@ -99,7 +98,6 @@ fn states<const D: usize>(bodies: &Bodies<D>) -> Vec<f64> {
 /// bodies.csv, and bodies.pvd with its files.
 pub struct BodyLog {
     table: Table,
-    every_step: bool,
     samples: Schedule,
     pvd: Pvd,
     snapshots: Schedule,
@@ -121,8 +119,7 @@ impl BodyLog {
         let (output, served) = (&case.output, since.unwrap_or(0.0));
         Ok(Some(Self {
             table,
-            every_step: output.gauges == 0.0,
-            samples: Schedule::new(output.gauges, vec![], served),
+            samples: Schedule::sampling(output.gauges, since),
             pvd,
             snapshots: Schedule::new(output.particles, output.snapshots.clone(), served),
         }))
@@ -139,15 +136,9 @@ impl BodyLog {
         self.pvd.snapshot(simulation.time, |path| write_surfaces(path, simulation.scheme.bodies()))
     }
 
-    /// Writes out what is pending.
-    pub fn flush(&mut self) -> Result<()> {
-        self.table.flush()
-    }
-}
-
-impl<const D: usize> Observer<D> for BodyLog {
-    fn observe(&mut self, simulation: &Simulation<D>, _: &StepReport) -> Result<()> {
-        if self.every_step || self.samples.due(simulation.time) {
+    /// Rows and surfaces that are due.
+    pub fn observe<const D: usize>(&mut self, simulation: &Simulation<D>) -> Result<()> {
+        if self.samples.due(simulation.time) {
             self.sample(simulation)?;
         }
         match self.snapshots.due(simulation.time) {
@@ -156,8 +147,14 @@ impl<const D: usize> Observer<D> for BodyLog {
         }
     }
 
-    fn is_due(&self, time: f64) -> bool {
-        self.every_step || self.samples.is_due(time) || self.snapshots.is_due(time)
+    /// Whether it would write anything at `time` in s.
+    pub fn is_due(&self, time: f64) -> bool {
+        self.samples.is_due(time) || self.snapshots.is_due(time)
+    }
+
+    /// Writes out what is pending.
+    pub fn flush(&mut self) -> Result<()> {
+        self.table.flush()
     }
 }
 

@@ -9,7 +9,7 @@ use super::quantities::Scene;
 use super::table::{Cell, Table};
 use crate::Result;
 use crate::exact::{self, ErrorMeasure, Exact};
-use crate::scheme::{Params, StepReport};
+use crate::scheme::StepReport;
 use crate::simulation::{Observer, Simulation};
 
 /// Writes exact.csv, at the same times as history.csv.
@@ -17,9 +17,7 @@ pub struct ExactLog<const D: usize> {
     exact: Box<dyn Exact<D>>,
     path: PathBuf,
     table: Table,
-    every_step: bool,
     schedule: Schedule,
-    params: Params<D>,
 }
 
 impl<const D: usize> ExactLog<D> {
@@ -27,7 +25,6 @@ impl<const D: usize> ExactLog<D> {
     pub fn new(
         folder: &RunFolder,
         exact: Box<dyn Exact<D>>,
-        params: &Params<D>,
         interval: f64,
         since: Option<f64>,
     ) -> Result<Self> {
@@ -40,13 +37,12 @@ impl<const D: usize> ExactLog<D> {
             None => Table::create(&path, &columns)?,
             Some(time) => Table::resume(&path, &columns, time)?,
         };
-        let schedule = Schedule::new(interval, vec![], since.unwrap_or(0.0));
-        Ok(Self { exact, path, table, every_step: interval == 0.0, schedule, params: params.clone() })
+        Ok(Self { exact, path, table, schedule: Schedule::sampling(interval, since) })
     }
 
     /// Adds the row of the present state.
     pub fn sample(&mut self, simulation: &Simulation<D>) -> Result<()> {
-        let scene = Scene::of(simulation, &self.params);
+        let scene = Scene::of(simulation);
         let mut row = vec![Cell::Number(simulation.time)];
         for (found, exact) in self.exact.compare(&scene, simulation.time) {
             row.extend([Cell::Number(found), Cell::Number(exact)]);
@@ -83,13 +79,13 @@ fn exact_column(column: &str) -> String {
 
 impl<const D: usize> Observer<D> for ExactLog<D> {
     fn observe(&mut self, simulation: &Simulation<D>, _: &StepReport) -> Result<()> {
-        match self.every_step || self.schedule.due(simulation.time) {
+        match self.schedule.due(simulation.time) {
             true => self.sample(simulation),
             false => Ok(()),
         }
     }
 
     fn is_due(&self, time: f64) -> bool {
-        self.every_step || self.schedule.is_due(time)
+        self.schedule.is_due(time)
     }
 }

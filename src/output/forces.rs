@@ -15,6 +15,7 @@
 
 use crate::case::{CaseFile, Probe, Side, build::side_of};
 use crate::geometry::{Lattice, WallCell};
+use crate::parallel::Ranks;
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Fields, Params};
 use clap::ValueEnum;
@@ -25,6 +26,7 @@ pub struct Forces<const D: usize> {
     /// Half a spacing times the density, in kg/m2: by the body force, the pressure from a wall particle to its face.
     half_cell: f64,
     area: f64,
+    ranks: Ranks,
 }
 
 /// The part of the walls that one probe is on.
@@ -47,18 +49,21 @@ impl<const D: usize> Forces<D> {
             patches: case.probes.iter().filter_map(patch).collect(),
             half_cell: 0.5 * params.spacing * params.density,
             area: params.spacing.powi(D as i32 - 1),
+            ranks: params.ranks,
         }
     }
 
-    /// Present forces in N, in the order of the probes, where the last step felt `body_force` m/s2.
+    /// Present forces in N, in the order of the probes, where the last step felt `body_force` m/s2: all ranks read together, each the
+    /// walls that it `holds`.
     pub fn read(
         &self,
         particles: &Particles<D>,
         fields: &Fields<D>,
+        holds: impl Fn(usize) -> bool,
         body_force: &Vector<D>,
     ) -> Vec<Vector<D>> {
         let step = self.half_cell * body_force;
-        let is_wet = |a: usize| fields.active.get(a).copied().unwrap_or(false);
+        let is_wet = |a: usize| holds(a) && fields.active.get(a).copied().unwrap_or(false);
         let pressure = |&(a, axis, normal): &(u32, usize, f64)| {
             let mut force = Vector::zeros();
             if is_wet(a as usize) {
@@ -68,17 +73,19 @@ impl<const D: usize> Forces<D> {
             force
         };
         let reaction = |(a, counts): &(u32, Vector<D>)| fields.wall_force[*a as usize].component_mul(counts);
+        let is_held = |(a, _): &&(u32, Vector<D>)| holds(*a as usize);
         let force = |patch: &Patch<D>| -> Vector<D> {
             let mut force = Vector::zeros();
             if fields.walls_carry_pressure {
                 force += patch.faces.iter().map(pressure).sum::<Vector<D>>();
             }
             if !fields.wall_force.is_empty() {
-                force += patch.members.iter().map(reaction).sum::<Vector<D>>();
+                force += patch.members.iter().filter(is_held).map(reaction).sum::<Vector<D>>();
             }
             force
         };
-        self.patches.iter().map(force).collect()
+        let here: Vec<f64> = self.patches.iter().flat_map(|patch| <[f64; D]>::from(force(patch))).collect();
+        self.ranks.sums(&here).chunks_exact(D).map(Vector::from_column_slice).collect()
     }
 }
 
@@ -184,7 +191,8 @@ until = 1
             wall_force: if wall_force.is_some() { &reactions } else { &[] },
             ..Fields::none(&neighbors)
         };
-        Forces::new(&case, &scene.lattice, &scene.params).read(&particles, &fields, &scene.params.gravity)
+        let forces = Forces::new(&case, &scene.lattice, &scene.params);
+        forces.read(&particles, &fields, |_| true, &scene.params.gravity)
     }
 
     #[test]

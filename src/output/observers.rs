@@ -14,13 +14,13 @@ use crate::Result;
 use crate::case::build::Scene as Start;
 use crate::case::{CaseFile, Probe};
 use crate::particles::Vector;
-use crate::scheme::Params;
 use crate::scheme::StepReport;
 use crate::simulation::{Observer, Simulation};
 
 /// Times at which something is due: every `interval`, and listed instants.
 #[derive(Debug, Clone)]
 pub(super) struct Schedule {
+    every_step: bool,
     interval: f64,
     next: f64,
     instants: Vec<f64>,
@@ -32,17 +32,22 @@ impl Schedule {
         instants.retain(|t| *t > since);
         instants.sort_by(|a, b| b.total_cmp(a));
         let next = if interval > 0.0 { interval * ((since / interval).floor() + 1.0) } else { f64::INFINITY };
-        Self { interval, next, instants }
+        Self { every_step: false, interval, next, instants }
+    }
+
+    /// `interval` 0: after every step.
+    pub fn sampling(interval: f64, since: Option<f64>) -> Self {
+        Self { every_step: interval == 0.0, ..Self::new(interval, vec![], since.unwrap_or(0.0)) }
     }
 
     /// Is anything due at `time`?
     pub fn is_due(&self, time: f64) -> bool {
-        time >= self.next || self.instants.last().is_some_and(|t| *t <= time)
+        self.every_step || time >= self.next || self.instants.last().is_some_and(|t| *t <= time)
     }
 
     /// Is anything due at `time`? Serves it.
     pub fn due(&mut self, time: f64) -> bool {
-        let mut due = false;
+        let mut due = self.every_step;
         while time >= self.next {
             self.next += self.interval;
             due = true;
@@ -68,32 +73,91 @@ pub(super) fn open(
     }
 }
 
-/// history.csv.
-pub struct History<const D: usize> {
-    table: Table,
-    every_step: bool,
-    schedule: Schedule,
-    params: Params<D>,
+/// What the rows of the tables tell of the whole scene at one moment.
+pub struct Readings<const D: usize> {
+    /// Of [`quantities::history`].
+    history: Vec<f64>,
+    /// Of gauges, in the order of the probes.
+    gauges: Vec<Cell<'static>>,
+    /// In N, likewise.
+    forces: Vec<Vector<D>>,
 }
 
-impl<const D: usize> History<D> {
-    /// Opens the tables of a run, or those of a run resumed at time `since`.
-    pub fn new(folder: &RunFolder, case: &CaseFile, params: &Params<D>, since: Option<f64>) -> Result<Self> {
+/// What all ranks read together, so that no rank needs to see more than its share of the scene.
+pub struct Meters<const D: usize> {
+    gauges: Gauges<D>,
+    forces: Forces<D>,
+}
+
+impl<const D: usize> Meters<D> {
+    /// Those of a case that begins as `start`.
+    pub fn new(case: &CaseFile, start: &Start<D>) -> Self {
+        let Start { lattice, particles, params, .. } = start;
+        Self {
+            gauges: Gauges::new(&case.probes, lattice, particles, params),
+            forces: Forces::new(case, lattice, params),
+        }
+    }
+
+    /// The present state; all ranks call this.
+    pub fn read(&mut self, simulation: &Simulation<D>) -> Readings<D> {
+        let Simulation { particles, scheme, body_force, time, .. } = simulation;
+        let (fields, holds) = (scheme.fields(), |a: usize| scheme.halo().holds(a));
+        let scene = Scene::of(simulation);
+        Readings {
+            history: quantities::history::<D>().map(|(_, value)| value(&scene)).to_vec(),
+            gauges: self.gauges.read(particles, &fields, holds, body_force, *time),
+            forces: self.forces.read(particles, &fields, holds, body_force),
+        }
+    }
+
+    /// What filters remember.
+    pub fn save(&self, writer: &mut checkpoint::Writer) {
+        self.gauges.save(writer);
+    }
+
+    /// Goes on from a saved state.
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) if it has other filters.
+    pub fn restore(&mut self, reader: &checkpoint::Reader) -> Result<()> {
+        self.gauges.restore(reader)
+    }
+}
+
+/// history.csv.
+pub struct History {
+    table: Table,
+    schedule: Schedule,
+}
+
+impl History {
+    /// Opens the table of a run, or that of a run resumed at time `since`.
+    pub fn new<const D: usize>(folder: &RunFolder, case: &CaseFile, since: Option<f64>) -> Result<Self> {
         let columns = quantities::history::<D>().map(|(name, _)| name.to_owned());
         Ok(Self {
             table: open(folder, "history.csv", columns.to_vec(), since)?,
-            every_step: case.output.samples == 0.0,
-            schedule: Schedule::new(case.output.samples, vec![], since.unwrap_or(0.0)),
-            params: params.clone(),
+            schedule: Schedule::sampling(case.output.samples, since),
         })
     }
 
     /// Adds a row.
-    pub fn sample(&mut self, simulation: &Simulation<D>) -> Result<()> {
-        let scene = Scene::of(simulation, &self.params);
-        let time = Cell::Number(simulation.time);
-        let values = quantities::history::<D>().map(|(_, value)| Cell::Number(value(&scene)));
-        self.table.row(&[&[time], &values[..]].concat())
+    pub fn sample<const D: usize>(&mut self, time: f64, readings: &Readings<D>) -> Result<()> {
+        let values = std::iter::once(&time).chain(&readings.history);
+        self.table.row(&values.copied().map(Cell::Number).collect::<Vec<_>>())
+    }
+
+    /// Adds the row that is due.
+    pub fn observe<const D: usize>(&mut self, time: f64, readings: &Readings<D>) -> Result<()> {
+        match self.schedule.due(time) {
+            true => self.sample(time, readings),
+            false => Ok(()),
+        }
+    }
+
+    /// Whether it would add a row at `time` in s.
+    pub fn is_due(&self, time: f64) -> bool {
+        self.schedule.is_due(time)
     }
 
     /// Writes out what is pending.
@@ -102,106 +166,71 @@ impl<const D: usize> History<D> {
     }
 }
 
-impl<const D: usize> Observer<D> for History<D> {
-    fn observe(&mut self, simulation: &Simulation<D>, _: &StepReport) -> Result<()> {
-        match self.every_step || self.schedule.due(simulation.time) {
-            true => self.sample(simulation),
-            false => Ok(()),
-        }
-    }
-
-    fn is_due(&self, time: f64) -> bool {
-        self.every_step || self.schedule.is_due(time)
-    }
-}
-
 /// probes.csv and forces.csv, each where the case has such probes.
-pub struct Probes<const D: usize> {
-    gauges: Option<(Table, Gauges<D>)>,
-    forces: Option<(Table, Forces<D>)>,
-    /// Whether forces.csv has columns of bodies.
-    bodies: bool,
-    every_step: bool,
+pub struct Probes {
+    gauges: Option<Table>,
+    forces: Option<Table>,
     schedule: Schedule,
 }
 
-impl<const D: usize> Probes<D> {
-    /// Opens the tables of a run that begins as `start`, or those of a run resumed at time `since`.
-    pub fn new(folder: &RunFolder, case: &CaseFile, start: &Start<D>, since: Option<f64>) -> Result<Self> {
-        let Start { lattice, particles, params, .. } = start;
+impl Probes {
+    /// Opens the tables of a run, or those of a run resumed at time `since`.
+    pub fn new(folder: &RunFolder, case: &CaseFile, since: Option<f64>) -> Result<Self> {
         let columns_of = |forces: bool| -> Vec<String> {
             let kind = case.probes.iter().filter(|probe| matches!(probe, Probe::Force { .. }) == forces);
-            kind.flat_map(|probe| probe.columns(D)).collect()
+            kind.flat_map(|probe| probe.columns(case.dimension)).collect()
         };
-        let (mut gauges, mut forces) = (None, None);
-        let columns = columns_of(false);
-        if !columns.is_empty() {
-            let all = Gauges::new(&case.probes, lattice, particles, params);
-            gauges = Some((open(folder, "probes.csv", columns, since)?, all));
-        }
         let names = case.bodies.iter().map(|body| body.name.as_str());
-        let columns = [columns_of(true), bodies::force_columns(names, D)].concat();
-        if !columns.is_empty() {
-            forces = Some((open(folder, "forces.csv", columns, since)?, Forces::new(case, lattice, params)));
-        }
-        let schedule = Schedule::new(case.output.gauges, vec![], since.unwrap_or(0.0));
+        let table = |name: &str, columns: Vec<String>| {
+            (!columns.is_empty()).then(|| open(folder, name, columns, since)).transpose()
+        };
+        let on_bodies = bodies::force_columns(names, case.dimension);
         Ok(Self {
-            gauges,
-            forces,
-            bodies: !case.bodies.is_empty(),
-            every_step: case.output.gauges == 0.0,
-            schedule,
+            gauges: table("probes.csv", columns_of(false))?,
+            forces: table("forces.csv", [columns_of(true), on_bodies].concat())?,
+            schedule: Schedule::sampling(case.output.gauges, since),
         })
     }
 
-    /// Rows of the present state.
-    pub fn sample(&mut self, simulation: &Simulation<D>) -> Result<()> {
-        let (particles, fields) = (&simulation.particles, simulation.scheme.fields());
-        let (time, body_force) = (simulation.time, &simulation.body_force);
-        if let Some((table, gauges)) = &mut self.gauges {
-            table.row(
-                &[vec![Cell::Number(time)], gauges.read(particles, &fields, body_force, time)].concat(),
-            )?;
+    /// Adds rows, with the forces on the bodies of `simulation`.
+    pub fn sample<const D: usize>(
+        &mut self,
+        simulation: &Simulation<D>,
+        readings: &Readings<D>,
+    ) -> Result<()> {
+        let time = [Cell::Number(simulation.time)];
+        if let Some(table) = &mut self.gauges {
+            table.row(&[&time[..], &readings.gauges].concat())?;
         }
-        if let Some((table, forces)) = &mut self.forces {
-            let forces = forces.read(particles, &fields, body_force);
-            let on_bodies = if self.bodies { bodies::forces(simulation.scheme.bodies()) } else { vec![] };
-            let components = forces.iter().flat_map(|force| force.iter().copied()).chain(on_bodies);
-            table.row(&std::iter::once(time).chain(components).map(Cell::Number).collect::<Vec<_>>())?;
+        if let Some(table) = &mut self.forces {
+            let on_walls = readings.forces.iter().flat_map(|force| force.iter().copied());
+            let all = on_walls.chain(bodies::forces(simulation.scheme.bodies()));
+            table.row(&time.into_iter().chain(all.map(Cell::Number)).collect::<Vec<_>>())?;
         }
         Ok(())
     }
 
-    /// What filters remember.
-    pub fn save(&self, writer: &mut checkpoint::Writer) {
-        if let Some((_, gauges)) = &self.gauges {
-            gauges.save(writer);
-        }
-    }
-
-    /// Goes on from a saved state.
-    pub fn restore(&mut self, reader: &checkpoint::Reader) -> Result<()> {
-        self.gauges.as_mut().map_or(Ok(()), |(_, gauges)| gauges.restore(reader))
-    }
-
-    /// Writes out what is pending.
-    pub fn flush(&mut self) -> Result<()> {
-        let gauges = self.gauges.as_mut().map(|(table, _)| table);
-        let forces = self.forces.as_mut().map(|(table, _)| table);
-        gauges.into_iter().chain(forces).try_for_each(Table::flush)
-    }
-}
-
-impl<const D: usize> Observer<D> for Probes<D> {
-    fn observe(&mut self, simulation: &Simulation<D>, _: &StepReport) -> Result<()> {
-        match self.every_step || self.schedule.due(simulation.time) {
-            true => self.sample(simulation),
+    /// Adds the rows that are due.
+    pub fn observe<const D: usize>(
+        &mut self,
+        simulation: &Simulation<D>,
+        readings: &Readings<D>,
+    ) -> Result<()> {
+        match self.schedule.due(simulation.time) {
+            true => self.sample(simulation, readings),
             false => Ok(()),
         }
     }
 
-    fn is_due(&self, time: f64) -> bool {
-        self.every_step || self.schedule.is_due(time)
+    /// Whether it would add rows at `time` in s.
+    pub fn is_due(&self, time: f64) -> bool {
+        let has_tables = self.gauges.is_some() || self.forces.is_some();
+        has_tables && self.schedule.is_due(time)
+    }
+
+    /// Writes out what is pending.
+    pub fn flush(&mut self) -> Result<()> {
+        self.gauges.iter_mut().chain(&mut self.forces).try_for_each(Table::flush)
     }
 }
 
@@ -261,10 +290,9 @@ impl SolverLog {
     pub fn flush(&mut self) -> Result<()> {
         self.table.flush()
     }
-}
 
-impl<const D: usize> Observer<D> for SolverLog {
-    fn observe(&mut self, simulation: &Simulation<D>, report: &StepReport) -> Result<()> {
+    /// Adds the row of a step.
+    pub fn observe<const D: usize>(&mut self, simulation: &Simulation<D>, report: &StepReport) -> Result<()> {
         let Some(solve) = &report.solve else { return Ok(()) };
         if let Some(fallback) = &solve.fallback {
             log::warn!("step {} at t = {:.6} s: {fallback}", simulation.step, simulation.time);
@@ -283,10 +311,6 @@ impl<const D: usize> Observer<D> for SolverLog {
             solve.solve_s.into(),
             solve.fallback.as_deref().unwrap_or("none").into(),
         ])
-    }
-
-    fn is_due(&self, _: f64) -> bool {
-        false
     }
 }
 

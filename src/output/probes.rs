@@ -24,6 +24,7 @@ use super::checkpoint;
 use super::table::Cell;
 use crate::case::{Probe, build::vector};
 use crate::geometry::{Lattice, Obstacles, WallCell};
+use crate::parallel::Packed;
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Fields, Params};
 use crate::{Error, Result};
@@ -34,6 +35,9 @@ pub const DRY: &str = "dry";
 
 /// Share of the kernel that liquid must fill at a pressure gauge.
 const WET: f64 = 0.125;
+
+/// Within how many spacings liquid stands beside a wall particle.
+const BESIDE: f64 = 1.5;
 
 /// All gauges of a scene.
 pub struct Gauges<const D: usize> {
@@ -46,6 +50,34 @@ pub struct Gauges<const D: usize> {
 struct Gauge<const D: usize> {
     at: Vector<D>,
     kind: Kind<D>,
+}
+
+impl<const D: usize> Gauge<D> {
+    /// Wall particles in sight, with their kernel values.
+    fn walls(&self) -> &[(u32, f64)] {
+        match &self.kind {
+            Kind::Pressure { walls, .. } => walls,
+            Kind::Height { .. } => &[],
+        }
+    }
+}
+
+/// A particle of the liquid near a gauge.
+#[derive(Clone, Copy)]
+struct Liquid<const D: usize> {
+    r: Vector<D>,
+    pressure: f64,
+}
+
+/// A wall particle in sight of a gauge.
+struct Wall<const D: usize> {
+    r: Vector<D>,
+    /// Kernel value of the gauge.
+    weight: f64,
+    is_active: bool,
+    pressure: f64,
+    /// Force of the liquid along the normal, in N.
+    push: f64,
 }
 
 /// Solids stay where they are: what a gauge needs of them is found once.
@@ -124,21 +156,24 @@ impl<const D: usize> Gauges<D> {
     }
 
     /// Present values, in the order of the probes, where the last step felt `body_force` m/s2; `time` in s tells filters how
-    /// old a reading is.
+    /// old a reading is. All ranks read together, each its liquid and the walls that it `holds`.
     pub fn read(
         &mut self,
         particles: &Particles<D>,
         fields: &Fields<D>,
+        holds: impl Fn(usize) -> bool,
         body_force: &Vector<D>,
         time: f64,
     ) -> Vec<Cell<'static>> {
         self.params.gravity = *body_force;
-        let near = self.bins.sort(particles);
-        let reading = |(gauge, near): (&Gauge<D>, &Vec<u32>)| match &gauge.kind {
-            Kind::Pressure { walls, .. } => self.pressure(particles, fields, &gauge.at, walls, near),
-            Kind::Height { solids } => self.height(particles, &gauge.at, solids, near),
-        };
-        let readings: Vec<Option<f64>> = self.gauges.iter().zip(&near).map(reading).collect();
+        let near = self.liquid_near(particles);
+        let walls = self.walls_seen(particles, fields, holds);
+        let reading =
+            |((gauge, near), walls): ((&Gauge<D>, &Vec<Liquid<D>>), &Vec<Wall<D>>)| match &gauge.kind {
+                Kind::Pressure { .. } => self.pressure(fields, &gauge.at, near, walls),
+                Kind::Height { solids } => self.height(&gauge.at, solids, near),
+            };
+        let readings: Vec<Option<f64>> = self.gauges.iter().zip(&near).zip(&walls).map(reading).collect();
         let filtered = self.gauges.iter_mut().zip(readings).map(|(gauge, reading)| match &mut gauge.kind {
             Kind::Pressure { filter: Some(filter), .. } => {
                 let mean = filter.mean_with(time, reading.unwrap_or(0.0));
@@ -149,87 +184,117 @@ impl<const D: usize> Gauges<D> {
         filtered.map(|value| value.map_or(Cell::Word(DRY), Cell::Number)).collect()
     }
 
+    /// For each gauge the liquid of all ranks that it may count.
+    fn liquid_near(&self, particles: &Particles<D>) -> Vec<Vec<Liquid<D>>> {
+        let support = self.params.support();
+        let reach = support + BESIDE * self.params.spacing;
+        let mut message = vec![];
+        for (number, (gauge, near)) in self.gauges.iter().zip(self.bins.sort(particles)).enumerate() {
+            for b in near.into_iter().map(|b| b as usize) {
+                let r = &particles.position[b];
+                let is_near = match gauge.kind {
+                    Kind::Pressure { .. } => (gauge.at - r).norm_squared() < reach * reach,
+                    Kind::Height { .. } => horizontal_square(&gauge.at, r) < support * support,
+                };
+                if is_near {
+                    message.push(number as f64);
+                    r.pack(&mut message);
+                    message.push(particles.pressure[b]);
+                }
+            }
+        }
+        let mut near = vec![vec![]; self.gauges.len()];
+        for words in self.params.ranks.all(&message).iter().flat_map(|part| part.chunks_exact(D + 2)) {
+            near[words[0] as usize].push(Liquid { r: Vector::unpack(&words[1..=D]), pressure: words[D + 1] });
+        }
+        near
+    }
+
+    /// For each gauge the walls in its sight, as the ranks that hold them know them.
+    fn walls_seen(
+        &self,
+        particles: &Particles<D>,
+        fields: &Fields<D>,
+        holds: impl Fn(usize) -> bool,
+    ) -> Vec<Vec<Wall<D>>> {
+        let knowledge = |&(b, _): &(u32, f64)| {
+            let b = b as usize;
+            if !holds(b) {
+                return [0.0; 3];
+            }
+            let is_active = fields.active.get(b).copied().unwrap_or(false);
+            let push = fields.wall_force.get(b).map_or(0.0, |force| -force.dot(&particles.normal[b]));
+            [f64::from(u8::from(is_active)), particles.pressure[b], push]
+        };
+        let here: Vec<f64> = self.gauges.iter().flat_map(Gauge::walls).flat_map(knowledge).collect();
+        let everywhere = self.params.ranks.sums(&here);
+        let mut known = everywhere.as_chunks().0.iter();
+        let wall = |(&(b, weight), &[active, pressure, push]): (&(u32, f64), &[f64; 3])| Wall {
+            r: particles.position[b as usize],
+            weight,
+            is_active: active > 0.0,
+            pressure,
+            push,
+        };
+        self.gauges.iter().map(|gauge| gauge.walls().iter().zip(&mut known).map(wall).collect()).collect()
+    }
+
     fn weight(&self, r: f64) -> f64 {
         self.params.kernel.value::<D>(r, self.params.smoothing_length())
     }
 
     fn pressure(
         &self,
-        particles: &Particles<D>,
         fields: &Fields<D>,
         at: &Vector<D>,
-        walls: &[(u32, f64)],
-        near: &[u32],
+        near: &[Liquid<D>],
+        walls: &[Wall<D>],
     ) -> Option<f64> {
         let (support, gradient) = (self.params.support(), self.params.density * self.params.gravity);
         let (mut weights, mut sum) = (0.0, 0.0);
-        let mut add = |b: usize, w: f64| {
+        let mut add = |r: &Vector<D>, pressure: f64, w: f64| {
             weights += w;
-            sum += w * (particles.pressure[b] + gradient.dot(&(at - particles.position[b])));
+            sum += w * (pressure + gradient.dot(&(at - r)));
             weights
         };
         let mut wet = 0.0;
-        for b in near.iter().map(|&b| b as usize) {
-            let r = (at - particles.position[b]).norm();
-            if r < support && self.obstacles.leave_free(at, &particles.position[b]) {
-                wet = add(b, self.weight(r));
+        for liquid in near {
+            let r = (at - liquid.r).norm();
+            if r < support && self.obstacles.leave_free(at, &liquid.r) {
+                wet = add(&liquid.r, liquid.pressure, self.weight(r));
             }
         }
         if wet * self.params.volume() <= WET {
             return None;
         }
         if !fields.walls_carry_pressure {
-            let pushed = self.pressure_by_force(particles, fields, at, walls, near);
+            let feel = !fields.wall_force.is_empty();
+            let pushed = if feel { self.pressure_by_force(at, near, walls) } else { None };
             return Some(pushed.unwrap_or(sum / weights));
         }
-        let is_active = |b: usize| fields.active.get(b).copied().unwrap_or(false);
-        for &(b, w) in walls.iter().filter(|(b, _)| is_active(*b as usize)) {
-            add(b as usize, w);
+        for wall in walls.iter().filter(|wall| wall.is_active) {
+            add(&wall.r, wall.pressure, wall.weight);
         }
         Some(sum / weights)
     }
 
-    /// What liquid pushes walls in sight with, in Pa, where it stands within a spacing and a half of some.
-    fn pressure_by_force(
-        &self,
-        particles: &Particles<D>,
-        fields: &Fields<D>,
-        at: &Vector<D>,
-        walls: &[(u32, f64)],
-        near: &[u32],
-    ) -> Option<f64> {
+    /// What liquid pushes walls in sight with, in Pa, where it stands beside some.
+    fn pressure_by_force(&self, at: &Vector<D>, near: &[Liquid<D>], walls: &[Wall<D>]) -> Option<f64> {
         let (spacing, gradient) = (self.params.spacing, self.params.density * self.params.gravity);
-        // Of a whole slice of the scene, what can stand beside a wall in reach.
-        let beside = 1.5 * spacing;
-        let near = near.iter().map(|&b| &particles.position[b as usize]);
-        let near: Vec<_> = near.filter(|r| (at - *r).norm() < self.params.support() + beside).collect();
-        let is_beside_liquid = |r: &Vector<D>| near.iter().any(|r_b| (*r_b - r).norm() < beside);
+        let is_beside_liquid =
+            |r: &Vector<D>| near.iter().any(|liquid| (liquid.r - r).norm() < BESIDE * spacing);
         let (mut weights, mut sum) = (0.0, 0.0);
-        for &(b, w) in walls {
-            let (b, r) = (b as usize, &particles.position[b as usize]);
-            if let Some(force) = fields.wall_force.get(b).filter(|_| is_beside_liquid(r)) {
-                let pressure = -force.dot(&particles.normal[b]) / spacing.powi(D as i32 - 1);
-                weights += w;
-                sum += w * (pressure + gradient.dot(&(at - r)));
-            }
+        for wall in walls.iter().filter(|wall| is_beside_liquid(&wall.r)) {
+            let pressure = wall.push / spacing.powi(D as i32 - 1);
+            weights += wall.weight;
+            sum += wall.weight * (pressure + gradient.dot(&(at - wall.r)));
         }
         (weights > 0.0).then(|| sum / weights)
     }
 
-    fn height(
-        &self,
-        particles: &Particles<D>,
-        foot: &Vector<D>,
-        solids: &[Vector<D>],
-        near: &[u32],
-    ) -> Option<f64> {
+    fn height(&self, foot: &Vector<D>, solids: &[Vector<D>], near: &[Liquid<D>]) -> Option<f64> {
         let (support, spacing, volume) = (self.params.support(), self.params.spacing, self.params.volume());
         let up = D - 1;
-        let liquid: Vec<&Vector<D>> = near
-            .iter()
-            .map(|&b| &particles.position[b as usize])
-            .filter(|r| horizontal_square(foot, r) < support * support)
-            .collect();
         // Above one half where liquid fills more than half of the kernel.
         let filled = |height: f64| {
             let mut at = *foot;
@@ -239,7 +304,7 @@ impl<const D: usize> Gauges<D> {
                 _ => 0.0,
             };
             let (mut full, mut open) = (0.0, 1.0);
-            full += liquid.iter().map(|r| share(r)).sum::<f64>();
+            full += near.iter().map(|liquid| share(&liquid.r)).sum::<f64>();
             for r in solids {
                 if r[up] < foot[up] { full += share(r) } else { open -= share(r) }
             }
@@ -424,12 +489,8 @@ until = 1
             wall_force: &wall_force,
             ..Fields::none(&neighbors)
         };
-        Gauges::new(&case.probes, &scene.lattice, &particles, &scene.params).read(
-            &particles,
-            &fields,
-            &scene.params.gravity,
-            0.0,
-        )
+        let mut gauges = Gauges::new(&case.probes, &scene.lattice, &particles, &scene.params);
+        gauges.read(&particles, &fields, |_| true, &scene.params.gravity, 0.0)
     }
 
     fn pressure(x: f64, y: f64) -> String {
@@ -501,7 +562,8 @@ until = 1
             let neighbors = Neighbors::default();
             let fields = Fields::none(&neighbors);
             let mut gauges = Gauges::new(&case.probes, &scene.lattice, &scene.particles, &scene.params);
-            let height = number(gauges.read(&scene.particles, &fields, &scene.params.gravity, 0.0)[0]);
+            let height =
+                number(gauges.read(&scene.particles, &fields, |_| true, &scene.params.gravity, 0.0)[0]);
             assert!((height / spacing - 1.0).abs() < 0.05, "{height} m at {spacing} m");
         }
     }

@@ -1,4 +1,6 @@
 //! Quantities of a whole scene at one instant: one small function each, one row of [`history`] each.
+//!
+//! Each is a sum or an extremum over the particles of this rank and then over ranks: all ranks ask for it together, and each gets it.
 
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Fields, Params};
@@ -11,9 +13,10 @@ pub struct Scene<'a, const D: usize> {
     pub particles: &'a Particles<D>,
     /// What the last step found.
     pub fields: Fields<'a, D>,
-    /// What schemes share, with the gravity that is there without the motion of a tank: energies of a shaken liquid change by the work that
-    /// the shaking does.
+    /// What schemes share.
     pub params: &'a Params<D>,
+    /// Gravity in m/s2 that is there without the motion of a tank: energies of a shaken liquid change by the work that the shaking does.
+    pub gravity: Vector<D>,
     /// Roughness of the pressure as last sampled, see [`crate::invariants`].
     pub roughness: f64,
 }
@@ -35,21 +38,35 @@ pub fn history<const D: usize>() -> [Quantity<D>; 12] {
         ("kernel_volume", kernel_volume),
         ("pressure_max_pa", largest_pressure),
         ("pressure_roughness", |scene| scene.roughness),
-        ("particles", |scene| scene.particles.fluid().len() as f64),
+        ("particles", particles),
     ]
 }
 
 impl<'a, const D: usize> Scene<'a, D> {
-    /// View of a simulation with the parameters of its case.
-    pub fn of(simulation: &'a Simulation<D>, params: &'a Params<D>) -> Self {
-        let (fields, roughness) = (simulation.scheme.fields(), simulation.invariants.last_roughness);
-        Self { particles: &simulation.particles, fields, params, roughness }
+    /// View of a simulation.
+    pub fn of(simulation: &'a Simulation<D>) -> Self {
+        let (scheme, particles) = (&simulation.scheme, &simulation.particles);
+        let (gravity, roughness) = (simulation.gravity, simulation.invariants.last_roughness);
+        Self { particles, fields: scheme.fields(), params: scheme.params(), gravity, roughness }
     }
 
     /// Liquid and its ghosts.
     fn liquid(&self) -> impl Iterator<Item = usize> {
-        let (particles, solids) = (self.particles, self.particles.solids());
-        (solids..particles.len()).filter(move |a| particles.original(*a) >= solids)
+        self.particles.fluid().chain(self.particles.solid_ghosts().end..self.particles.len())
+    }
+
+    /// Over the particles of the liquid of all ranks.
+    fn sums<const N: usize>(&self, of: impl Fn(usize) -> [f64; N]) -> [f64; N] {
+        let mut local = [0.0; N];
+        for a in self.particles.fluid() {
+            local.iter_mut().zip(of(a)).for_each(|(sum, value)| *sum += value);
+        }
+        self.params.ranks.sums(&local).try_into().expect("as many sums as were asked for")
+    }
+
+    /// Largest value over the particles of the liquid of all ranks.
+    fn largest(&self, of: impl Fn(usize) -> f64) -> f64 {
+        self.params.ranks.max(self.particles.fluid().map(of).fold(f64::NEG_INFINITY, f64::max))
     }
 
     /// Kernel mean of the pressure in Pa over the liquid around the particle nearest to `r`.
@@ -73,6 +90,11 @@ impl<'a, const D: usize> Scene<'a, D> {
 
 /// Largest x of the liquid in m, lone particles of spray left out: at least 3 fluid neighbours within 1.5 spacings.
 pub fn front<const D: usize>(scene: &Scene<D>) -> f64 {
+    scene.params.ranks.max(front_here(scene))
+}
+
+/// That of this rank.
+fn front_here<const D: usize>(scene: &Scene<D>) -> f64 {
     let (position, near) = (&scene.particles.position, 1.5 * scene.params.spacing);
     let x = |a: usize| position[a][0];
     let (first, last) = scene
@@ -104,51 +126,57 @@ pub fn front<const D: usize>(scene: &Scene<D>) -> f64 {
 
 /// Kinetic energy of the liquid in J.
 pub fn kinetic_energy<const D: usize>(scene: &Scene<D>) -> f64 {
-    let squares: f64 = scene.particles.fluid().map(|a| scene.particles.velocity[a].norm_squared()).sum();
+    let [squares] = scene.sums(|a| [scene.particles.velocity[a].norm_squared()]);
     0.5 * scene.params.mass() * squares
 }
 
 /// Potential energy of the liquid in J, zero at the origin.
 pub fn potential_energy<const D: usize>(scene: &Scene<D>) -> f64 {
-    let sum: Vector<D> = scene.particles.fluid().map(|a| scene.particles.position[a]).sum();
-    -scene.params.mass() * scene.params.gravity.dot(&sum)
+    let [falls] = scene.sums(|a| [scene.gravity.dot(&scene.particles.position[a])]);
+    -scene.params.mass() * falls
 }
 
 /// Size of the liquid's linear momentum in kg m/s.
 pub fn momentum<const D: usize>(scene: &Scene<D>) -> f64 {
-    let sum: Vector<D> = scene.particles.fluid().map(|a| scene.particles.velocity[a]).sum();
-    scene.params.mass() * sum.norm()
+    let sums: [f64; D] = scene.sums(|a| scene.particles.velocity[a].into());
+    scene.params.mass() * Vector::<D>::from(sums).norm()
 }
 
 /// Largest speed of the liquid in m/s.
 pub fn fastest<const D: usize>(scene: &Scene<D>) -> f64 {
-    scene.particles.fastest_liquid()
+    scene.params.ranks.max(scene.particles.fastest_liquid())
 }
 
 /// Height of the liquid's centre of mass in m.
 pub fn centre_height<const D: usize>(scene: &Scene<D>) -> f64 {
-    let fluid = scene.particles.fluid();
-    let count = fluid.len() as f64;
-    fluid.map(|a| scene.particles.position[a][D - 1]).sum::<f64>() / count
+    let [heights, count] = scene.sums(|a| [scene.particles.position[a][D - 1], 1.0]);
+    heights / count
 }
 
 /// Largest kernel sum of the liquid over that of the regular lattice: how much it is compressed at worst.
 pub fn largest_crowding<const D: usize>(scene: &Scene<D>) -> f64 {
-    scene.particles.fluid().filter_map(|a| scene.fields.crowding.get(a)).copied().fold(0.0, f64::max)
+    scene.largest(|a| scene.fields.crowding.get(a).copied().unwrap_or(0.0)).max(0.0)
 }
 
 /// Mean volume of a particle inside the liquid by its kernel sum, over that on the regular lattice: 1 if the liquid keeps its
 /// volume. Particles on the surface are left out, their sums are cut off.
 pub fn kernel_volume<const D: usize>(scene: &Scene<D>) -> f64 {
     let fields = &scene.fields;
-    let inside = scene.particles.fluid().filter(|&a| fields.surface.get(a).is_some_and(|s| *s == 0.0));
-    let (sum, count) = inside.fold((0.0, 0), |(sum, count), a| (sum + 1.0 / fields.crowding[a], count + 1));
-    sum / f64::from(count)
+    let [volume, count] = scene.sums(|a| match fields.surface.get(a) {
+        Some(0.0) => [1.0 / fields.crowding[a], 1.0],
+        _ => [0.0; 2],
+    });
+    volume / count
 }
 
 /// Largest pressure of the liquid in Pa.
 pub fn largest_pressure<const D: usize>(scene: &Scene<D>) -> f64 {
-    scene.particles.fluid().map(|a| scene.particles.pressure[a]).fold(f64::NEG_INFINITY, f64::max)
+    scene.largest(|a| scene.particles.pressure[a])
+}
+
+/// How many particles the liquid has.
+pub fn particles<const D: usize>(scene: &Scene<D>) -> f64 {
+    scene.params.ranks.sum(scene.particles.fluid().len() as f64)
 }
 
 #[cfg(test)]
@@ -167,7 +195,8 @@ mod tests {
         let neighbors = Neighbors::default();
         let front_of = |particles: &Particles<2>| {
             let fields = Fields::none(&neighbors);
-            front(&Scene { particles, fields, params: &scene.params, roughness: 0.0 })
+            let (params, gravity) = (&scene.params, Vector::zeros());
+            front(&Scene { particles, fields, params, gravity, roughness: 0.0 })
         };
         let naive = |particles: &Particles<2>| {
             let r = &particles.position;
