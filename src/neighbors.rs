@@ -384,10 +384,13 @@ impl<const D: usize> Neighbors<D> {
         self.chunks.iter().filter_map(|chunk| chunk.start.last()).sum()
     }
 
-    /// Numbers of `position` (from 0) in cell order: the order that makes neighbours close in memory. Uses this list's
-    /// buffers and so forgets its cells.
-    pub fn cell_order(&mut self, position: &[Vector<D>], support: f64) -> &[u32] {
-        self.fluid_cells.sort(&Grid::covering(position, support), [0..position.len(), 0..0], position);
+    /// The particles from number `first` on in cell order, by their numbers from there: the order that makes neighbours close in memory,
+    /// and that in which rows list them. Uses this list's buffers and so forgets its cells.
+    pub fn cell_order(&mut self, position: &[Vector<D>], first: usize, support: f64) -> &[u32] {
+        // The grid of a search, which covers solids as well.
+        let grid = Grid::covering(position, support);
+        let position = &position[first..];
+        self.fluid_cells.sort(&grid, [0..position.len(), 0..0], position);
         &self.fluid_cells.sorted[..position.len()]
     }
 }

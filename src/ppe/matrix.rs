@@ -125,18 +125,21 @@ pub struct Link {
 struct Partial {
     count: Vec<Index>,
     entries: Vec<(Index, f64)>,
+    /// Where the open row begins, and where in it the columns of walls.
     open: usize,
+    walls: usize,
 }
 
 impl Partial {
     fn clear(&mut self) {
         self.count.clear();
         self.entries.clear();
-        self.open = 0;
+        self.begin();
     }
 
     fn begin(&mut self) {
         self.open = self.entries.len();
+        self.walls = usize::MAX;
     }
 
     fn push(&mut self, column: Index, value: f64) {
@@ -145,15 +148,29 @@ impl Partial {
 
     /// Adds to an entry that the row may already hold: only wall columns, which dummies share.
     fn add(&mut self, column: Index, value: f64) {
-        match self.entries[self.open..].iter_mut().find(|(c, _)| *c == column) {
+        self.walls = self.walls.min(self.entries.len());
+        match self.entries[self.walls..].iter_mut().find(|(c, _)| *c == column) {
             Some((_, v)) => *v += value,
             None => self.entries.push((column, value)),
         }
     }
 
+    /// Columns of walls come before those of liquid, and both are nearly in order already, since neighbours and unknowns are numbered
+    /// cell by cell.
     fn end(&mut self) {
-        self.entries[self.open..].sort_unstable_by_key(|(c, _)| *c);
-        self.count.push((self.entries.len() - self.open) as Index);
+        let liquid = self.walls.min(self.entries.len()) - self.open;
+        let row = &mut self.entries[self.open..];
+        row.rotate_left(liquid);
+        for k in 1..row.len() {
+            let entry = row[k];
+            let mut place = k;
+            while place > 0 && row[place - 1].0 > entry.0 {
+                row[place] = row[place - 1];
+                place -= 1;
+            }
+            row[place] = entry;
+        }
+        self.count.push(row.len() as Index);
     }
 }
 

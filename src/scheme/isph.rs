@@ -453,10 +453,11 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         let mut watch = std::mem::take(&mut self.stages);
         let mut report = StepReport::default();
         watch.time("neighbours", || {
-            let (neighbors, support) = (&mut self.support.neighbors, self.params.support());
-            sort(particles, neighbors, support, self.steps, &mut self.reorder);
             drift(particles, dt);
             self.depart(particles, dt);
+            // Every step: rows of the matrix then come in order by themselves, and need not be sorted.
+            let (neighbors, support) = (&mut self.support.neighbors, self.params.support());
+            sort(particles, neighbors, support, &mut self.reorder);
             self.survey(particles);
         });
         if self.method.collisions.is_some() {

@@ -91,10 +91,6 @@ const ACCELERATION_NUMBER: f64 = 0.25;
 /// the lattice (2D, Wendland; in 3D 12 and 17): 2 / 42, and less beside walls that hold the liquid. At 0.125 `wcsph` on a floor
 /// without slip gains the energy of its fall within a hundred steps; at 0.02 the step is half as long as it needs to be.
 const VISCOUS_NUMBER: f64 = 0.04;
-/// Steps between reorderings of the fluid: often enough to keep neighbours within a few cache lines, rarely enough to
-/// cost nothing.
-const SORT_EVERY: u64 = 20;
-
 /// r += dt v; solids move with their own velocity.
 fn drift<const D: usize>(particles: &mut Particles<D>, dt: f64) {
     let moving = particles.position.par_iter_mut().zip(&particles.velocity).with_min_len(1024);
@@ -106,19 +102,16 @@ fn fastest<const D: usize>(particles: &Particles<D>) -> f64 {
     particles.velocity.iter().map(|v| v.norm_squared()).fold(0.0, f64::max).sqrt()
 }
 
-/// Keeps neighbours close in memory: puts the fluid into cell order now and then.
+/// Puts the fluid into cell order, without ghosts: neighbours are then close in memory.
 fn sort<const D: usize>(
     particles: &mut Particles<D>,
     neighbors: &mut Neighbors<D>,
     support: f64,
-    step: u64,
     scratch: &mut ReorderScratch<D>,
 ) {
     particles.drop_ghosts();
-    if step.is_multiple_of(SORT_EVERY) {
-        let order = neighbors.cell_order(&particles.position[particles.solids()..], support);
-        particles.reorder_fluid(order, scratch);
-    }
+    let order = neighbors.cell_order(&particles.position, particles.solids(), support);
+    particles.reorder_fluid(order, scratch);
 }
 
 /// Ghosts and owners of `particles`, the whole scene.
