@@ -95,24 +95,26 @@ pub fn front<const D: usize>(scene: &Scene<D>) -> f64 {
 
 /// That of this rank.
 fn front_here<const D: usize>(scene: &Scene<D>) -> f64 {
-    let (position, near) = (&scene.particles.position, 1.5 * scene.params.spacing);
+    let (position, fluid) = (&scene.particles.position, scene.particles.fluid());
+    let near = 1.5 * scene.params.spacing;
     let x = |a: usize| position[a][0];
-    let (first, last) = scene
-        .particles
-        .fluid()
+    let (first, last) = fluid
+        .clone()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(first, last), a| (x(a).min(first), x(a).max(last)));
     // The front is mostly within a few spacings of the foremost particle: not all of the liquid needs to be sorted.
     let mut depth = 8.0 * near;
     loop {
-        let mut slab: Vec<usize> = scene.liquid().filter(|a| x(*a) > last - depth - near).collect();
+        let is_near = |a: &usize| x(*a) > last - depth - near && x(*a) < last + near;
+        let mut slab: Vec<usize> = scene.liquid().filter(is_near).collect();
         slab.sort_unstable_by(|&a, &b| x(b).total_cmp(&x(a)));
         let mut begin = 0;
-        for &a in slab.iter().take_while(|a| x(**a) > last - depth) {
+        // Ghosts keep company, but the front is another rank's to tell where they are.
+        for &a in slab.iter().filter(|a| fluid.contains(a)).take_while(|a| x(**a) > last - depth) {
             begin += slab[begin..].iter().take_while(|b| x(**b) > x(a) + near).count();
             let beside = slab[begin..].iter().take_while(|b| x(**b) > x(a) - near);
             let company = beside.filter(|b| (position[**b] - position[a]).norm() < near).count();
             // It keeps itself company.
-            if scene.particles.fluid().contains(&a) && company > 3 {
+            if company > 3 {
                 return x(a);
             }
         }

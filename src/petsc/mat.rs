@@ -18,7 +18,7 @@ pub struct Matrix {
 }
 
 impl Matrix {
-    /// Copies this rank's rows, given as compressed rows with global column numbers, in one go.
+    /// Copies this rank's rows, given as compressed rows with global column numbers that ascend in each, in one go.
     ///
     /// PETSc's own call for this inserts row by row; here it borrows the lists as they are and duplicates that.
     ///
@@ -169,10 +169,14 @@ impl Split {
         let mut others = (vec![0], vec![], vec![]);
         for row in start.windows(2) {
             let row = row[0] as usize..row[1] as usize;
-            for (&c, &v) in column[row.clone()].iter().zip(&value[row]) {
-                let (half, c) = if mine.contains(&c) { (&mut own, c - mine.start) } else { (&mut others, c) };
-                half.1.push(c);
-                half.2.push(v);
+            let (column, value) = (&column[row.clone()], &value[row]);
+            // Ascending: those of other ranks lie before and behind.
+            let [from, to] = [mine.start, mine.end].map(|end| column.partition_point(|c| *c < end));
+            own.1.extend(column[from..to].iter().map(|c| c - mine.start));
+            own.2.extend_from_slice(&value[from..to]);
+            for side in [0..from, to..column.len()] {
+                others.1.extend_from_slice(&column[side.clone()]);
+                others.2.extend_from_slice(&value[side]);
             }
             own.0.push(own.1.len() as Index);
             others.0.push(others.1.len() as Index);
@@ -198,11 +202,15 @@ pub(super) unsafe fn stored(matrix: ffi::Mat) -> Result<f64> {
 /// Everything PETSc would trust blindly.
 fn check_rows(start: &[Index], column: &[Index], value: &[f64], global: Index) -> Result<()> {
     let entries = Index::try_from(column.len()).unwrap_or(-1);
+    let is_sound = |row: &[Index]| {
+        let row = &column[row[0] as usize..row[1] as usize];
+        row.is_sorted() && row.first().is_none_or(|c| *c >= 0) && row.last().is_none_or(|c| *c < global)
+    };
     let sound = start.first() == Some(&0)
         && start.last() == Some(&entries)
         && start.is_sorted()
         && value.len() == column.len()
-        && column.iter().all(|c| (0..global).contains(c));
+        && start.windows(2).all(is_sound);
     sound.then_some(()).ok_or_else(|| {
         Error::Run(format!(
             "matrix rows are not sound: {} row starts, {} columns, {} values",
