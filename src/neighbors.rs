@@ -241,10 +241,11 @@ impl Pairs {
     /// Room for a row of `count` pairs from `end` on.
     fn reserve(&mut self, end: usize, count: usize) {
         if self.index.len() < end + count {
-            let room = (2 * end).max(end + count);
-            self.index.resize(room, 0);
-            self.kernel.resize(room, 0.0);
-            self.gradient.resize(room, 0.0);
+            // By a quarter: of large scenes pairs are most of the memory, and doubling would leave half of it idle.
+            let room = (end + end / 4).max(end + count);
+            grow(&mut self.index, room);
+            grow(&mut self.kernel, room);
+            grow(&mut self.gradient, room);
         }
     }
 
@@ -282,6 +283,12 @@ impl Pairs {
             (*w, *f) = smoothing.pair(w.sqrt());
         }
     }
+}
+
+/// To `length` and no more.
+fn grow<T: Copy + Default>(buffer: &mut Vec<T>, length: usize) {
+    buffer.reserve_exact(length - buffer.len());
+    buffer.resize(length, T::default());
 }
 
 const CHUNK: usize = 512;

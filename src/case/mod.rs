@@ -615,11 +615,13 @@ impl TimeParams {
     /// 0.316 s, no energy gained beyond 0.3 %); the density strays by 3.8 % at 0.6 and by 6.1 % at 1. With predictor and
     /// corrector instead of position Verlet water at rest without density diffusion stays calm at 0.5 and does not at 0.7.
     /// `wcsph_monaghan`, which steps so: at 0.6 nothing leaves that tank, at 0.8 a particle does, and at 1 the run fails. Where smoothed velocities
-    /// move its particles 0.3, since at 0.5 they gain energy.
+    /// move its particles 0.3 h / (1.2 dx), since at 0.5 they gain energy.
     pub fn courant_of(scheme: &SchemeParams) -> f64 {
         match (scheme.kind, scheme.stepping) {
             (SchemeKind::Wcsph, Stepping::Symplectic) => (0.7 * (scheme.smoothing_ratio / 1.2)).min(1.0),
-            (SchemeKind::WcsphMonaghan, _) if scheme.velocity_smoothing > 0.0 => 0.3,
+            (SchemeKind::WcsphMonaghan, _) if scheme.velocity_smoothing > 0.0 => {
+                0.3 * (scheme.smoothing_ratio / 1.2)
+            }
             (SchemeKind::Wcsph | SchemeKind::WcsphMonaghan, _) => 0.5,
             _ => 0.35,
         }

@@ -131,9 +131,10 @@ struct Partial {
 }
 
 impl Partial {
-    fn clear(&mut self) {
+    fn clear(&mut self, room: usize) {
         self.count.clear();
         self.entries.clear();
+        self.entries.reserve_exact(room);
         self.begin();
     }
 
@@ -183,8 +184,10 @@ impl Assembler {
         self.blocks.resize_with(self.particle_of.len().div_ceil(BLOCK), Block::default);
         let (column_of, particle_of) = (&self.column_of, &self.particle_of);
         self.blocks.par_iter_mut().enumerate().for_each(|(k, block)| {
-            block.clear();
-            for &a in &particle_of[k * BLOCK..((k + 1) * BLOCK).min(particle_of.len())] {
+            let rows = &particle_of[k * BLOCK..((k + 1) * BLOCK).min(particle_of.len())];
+            let neighbors = inputs.surroundings.neighbors;
+            block.clear(rows.iter().map(|a| neighbors.row(*a as usize).index.len() + 1).sum(), needs);
+            for &a in rows {
                 match (a as usize) < inputs.particles.walls().end {
                     true => block.assemble_wall_row(inputs, column_of, a as usize, needs),
                     false => block.assemble_row(inputs, column_of, a as usize, needs),
@@ -286,10 +289,11 @@ impl Assembler {
 }
 
 impl Block {
-    fn clear(&mut self) {
-        self.full.clear();
-        self.plain.clear();
-        self.sparse.clear();
+    /// Empty, with room for `entries` in each matrix: to grow by doubling would leave half of the memory idle.
+    fn clear(&mut self, entries: usize, needs: Needs) {
+        self.full.clear(entries);
+        self.plain.clear(if needs.symmetric || needs.uncorrected { entries } else { 0 });
+        self.sparse.clear(if needs.sparse { entries / 2 } else { 0 });
         self.rhs.clear();
         self.plain_rhs.clear();
         self.links.clear();

@@ -91,6 +91,7 @@ const ACCELERATION_NUMBER: f64 = 0.25;
 /// the lattice (2D, Wendland; in 3D 12 and 17): 2 / 42, and less beside walls that hold the liquid. At 0.125 `wcsph` on a floor
 /// without slip gains the energy of its fall within a hundred steps; at 0.02 the step is half as long as it needs to be.
 const VISCOUS_NUMBER: f64 = 0.04;
+
 /// r += dt v; solids move with their own velocity.
 fn drift<const D: usize>(particles: &mut Particles<D>, dt: f64) {
     let moving = particles.position.par_iter_mut().zip(&particles.velocity).with_min_len(1024);

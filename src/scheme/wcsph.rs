@@ -86,10 +86,13 @@
 //! dr_a/dt = v_a + eps sum_b m / rho_ab (v_b - v_a) W,   rho_ab = (rho_a + rho_b) / 2                (7)
 //!
 //! over the liquid, eps = 0.5 in Monaghan (1994): neighbours do not run through each other, and nothing is dissipated. Less artificial viscosity then
-//! serves, but not in a splash: with alpha = 0.05 and the sound of Monaghan (1994), sqrt(200 g H), the plain scheme brings the flood of the 3D dam break to the
-//! box in 0.422 s at 0.0183 m (0.434 s with alpha = 0.1 and without), but then clumps, pressures reach 0.7 MPa and steps shrink
-//! to a fifth. It wants shorter steps too: at a Courant number of 0.5 that run gains 120 % of its energy in 1 s, at 0.3 0.8 %; the 2D dam break at
-//! 0.01 m 8.6 and 0.5 %, without (7) 0.5 % at either. With the smoothed velocities in (2) as well the 2D front is 11 ms later.
+//! serves, but not in a splash: with the sound of Monaghan (1994), sqrt(200 g H), the plain scheme brings the flood of the 3D dam break at 0.0275 m to the
+//! box in 0.424, 0.420 and 0.419 s with alpha = 0.05, 0.04 and 0.03 (0.448 s with alpha = 0.1, 20 sqrt(g H) and without (7); measured 0.393), but
+//! with h / dx = 1.2 particles clump after the impact, the density is off by 58 % and at 0.0183 m steps shrink to a fifth. With h / dx = 1.5 they do so later: from
+//! 1.2 to 2 s on single ones meet with pressures of 1 to 3 MPa and fly off at 20 m/s, with half the Courant number as well. Continuity (2) does not know where (7) moves them;
+//! with the smoothed velocities in (2) too the 2D front is 11 ms later. A repulsion of particles under tension (Monaghan 2000, J. Comput. Phys. 159, 290-311)
+//! ended the run with h / dx = 1.2 at 0.7 s, out of control. It wants shorter steps too: with h / dx = 1.2 at a Courant number of 0.5 that run gains 120 % of its energy
+//! in 1 s, at 0.3 0.8 %; the 2D dam break at 0.01 m 8.6 and 0.5 %, without (7) 0.5 % at either.
 //!
 //! **Position Verlet** (Parshikov et al. 2000). With one neighbour search, at the middle,
 //!

@@ -24,7 +24,7 @@ fn assembly<const D: usize>(scheme: &Isph<D>) -> Duration {
 }
 
 fn assemble<const D: usize>(criterion: &mut Criterion, name: &str) {
-    let (Scene { particles, params, .. }, method) = scenes::scene::<D>(name);
+    let (Scene { particles, params, .. }, method) = scenes::scene::<D>(name, None);
     let mut group = criterion.benchmark_group(name);
     group.sample_size(10);
     for (matrices, needs) in MATRICES {

@@ -1,4 +1,5 @@
-//! How long does a pressure solve take, by method? From zero, on the first system of each scene.
+//! How long does a pressure solve take, by method? From zero, on the first system of each scene. And how near to the bandwidth of memory does
+//! PETSc multiply by its matrix: bytes a second of both, the bandwidth as the triad a = b + s c of STREAM (McCalpin 1995) has it.
 
 mod catcher;
 mod scenes;
@@ -6,11 +7,11 @@ mod scenes;
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
+use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use sphpetsc::case::build::Scene;
-use sphpetsc::petsc::Session;
+use sphpetsc::petsc::{Matrix, Session, Vector};
 use sphpetsc::ppe::solve::PressureSolver;
-use sphpetsc::ppe::{Needs, PressureSolve, PressureSystem};
+use sphpetsc::ppe::{Index, Needs, PressureSolve, PressureSystem};
 use sphpetsc::scheme::Scheme;
 use sphpetsc::scheme::isph::Isph;
 
@@ -18,9 +19,12 @@ use sphpetsc::scheme::isph::Isph;
 const METHODS: [[&str; 2]; 5] =
     [["bcgs", "ilu"], ["bcgs", "hypre"], ["bcgs", "jacobi"], ["gmres", "ilu"], ["cg", "icc"]];
 
+/// Spacing in m at which the matrix of the 3D scene is beyond all caches: 140,000 rows, 80 MB.
+const FINE: f64 = 0.004;
+
 /// The pressure system of the first step.
-fn system<const D: usize>(name: &str) -> PressureSystem {
-    let (Scene { mut particles, params, .. }, method) = scenes::scene::<D>(name);
+fn system<const D: usize>(name: &str, spacing: Option<f64>) -> PressureSystem {
+    let (Scene { mut particles, params, .. }, method) = scenes::scene::<D>(name, spacing);
     let caught = Rc::new(RefCell::default());
     let needs = Needs { symmetric: true, sparse: true, uncorrected: false };
     let catcher = catcher::Catcher { needs, system: Rc::clone(&caught) };
@@ -40,7 +44,10 @@ fn session() -> Rc<Session> {
 
 fn all(criterion: &mut Criterion) {
     let session = session();
-    let systems = [(scenes::PLANE, system::<2>(scenes::PLANE)), (scenes::SPACE, system::<3>(scenes::SPACE))];
+    let systems = [
+        (scenes::PLANE, system::<2>(scenes::PLANE, None)),
+        (scenes::SPACE, system::<3>(scenes::SPACE, None)),
+    ];
     for (k, [ksp, pc]) in METHODS.iter().enumerate() {
         for part in ["ksp_type", "pc_type"] {
             session.options().rename(&format!("method{k}_{part}"), part).expect("an option of ours");
@@ -57,6 +64,37 @@ fn all(criterion: &mut Criterion) {
             });
         }
     }
+    multiply(criterion, &session, &system::<3>(scenes::SPACE, Some(FINE)));
+    triad(criterion);
+}
+
+/// y = A x; all of A, x and y are read or written once.
+fn multiply(criterion: &mut Criterion, session: &Rc<Session>, system: &PressureSystem) {
+    let rows = &system.full;
+    let matrix = Matrix::from_rows(session, &rows.start, &rows.column, &rows.value).expect("sound rows");
+    let x = Vector::from_slice(session, &system.rhs).expect("a vector");
+    let mut y = Vector::zeros(session, system.rhs.len()).expect("a vector");
+    let entry = size_of::<f64>() + size_of::<Index>();
+    let bytes = rows.value.len() * entry + rows.len() * (entry + size_of::<f64>());
+    let mut group = criterion.benchmark_group("bandwidth");
+    group.throughput(Throughput::Bytes(bytes as u64));
+    group.bench_function("MatMult", |bencher| {
+        bencher.iter(|| matrix.multiply(&x, &mut y).expect("a product"))
+    });
+}
+
+/// On three arrays of 128 MiB, beyond all caches.
+fn triad(criterion: &mut Criterion) {
+    const LENGTH: usize = 1 << 24;
+    let (mut a, b, c) = (vec![0.0; LENGTH], vec![1.0; LENGTH], vec![2.0; LENGTH]);
+    let mut group = criterion.benchmark_group("bandwidth");
+    group.throughput(Throughput::Bytes((3 * LENGTH * size_of::<f64>()) as u64));
+    group.bench_function("triad", |bencher| {
+        bencher.iter(|| {
+            let all = a.iter_mut().zip(std::hint::black_box(&b)).zip(&c);
+            all.for_each(|((a, b), c): ((&mut f64, &f64), &f64)| *a = c.mul_add(3.0, *b));
+        });
+    });
 }
 
 criterion_group! { name = solve; config = Criterion::default().sample_size(10); targets = all }

@@ -13,7 +13,7 @@ use sphpetsc::simulation::{Simulation, StepControl};
 use sphpetsc::terms::implicit_viscosity::VelocitySolver;
 
 fn step<const D: usize>(criterion: &mut Criterion, session: &Rc<Session>, name: &str) {
-    let (Scene { particles, params, enclosure, .. }, method) = scenes::scene::<D>(name);
+    let (Scene { particles, params, enclosure, .. }, method) = scenes::scene::<D>(name, None);
     let solver = PressureSolver::new(Rc::clone(session), particles.fluid().len()).expect("known types");
     let solvers = (Box::new(solver) as _, Box::new(VelocitySolver::new(Rc::clone(session))) as _);
     let scheme = Box::new(Isph::new(params.clone(), method, &particles, solvers));

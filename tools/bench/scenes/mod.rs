@@ -9,14 +9,16 @@ pub const PLANE: &str = "dam_break_2d";
 /// The 3D scene.
 pub const SPACE: &str = "still_water_3d";
 
-/// A built-in case as particles, and its ISPH method.
-pub fn scene<const D: usize>(name: &str) -> (Scene<D>, Method) {
-    let case = case(name);
+/// A built-in case as particles, at its own spacing or another in m, and its ISPH method.
+pub fn scene<const D: usize>(name: &str, spacing: Option<f64>) -> (Scene<D>, Method) {
+    let case = case(name, spacing);
     let scene = build::scene(&case);
     let method = build::isph(&case, &scene);
     (scene, method)
 }
 
-fn case(name: &str) -> CaseFile {
-    read::read(builtin::find(name).expect("a built-in case"), name, &[]).expect("a valid case")
+fn case(name: &str, spacing: Option<f64>) -> CaseFile {
+    let sets: Vec<_> =
+        spacing.map(|spacing| ("spacing".to_owned(), spacing.to_string())).into_iter().collect();
+    read::read(builtin::find(name).expect("a built-in case"), name, &sets).expect("a valid case")
 }
