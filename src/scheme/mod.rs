@@ -338,7 +338,6 @@ pub struct Fields<'a, const D: usize> {
     pub wall_force: &'a [Vector<D>],
 }
 
-#[cfg(test)]
 impl<'a, const D: usize> Fields<'a, D> {
     /// No fields, beside walls whose pressures count.
     pub fn none(neighbors: &'a Neighbors<D>) -> Self {

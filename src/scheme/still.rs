@@ -1,6 +1,7 @@
 //! The whole scene at one moment, as those see it who look: particles and fields of all ranks, gathered on the first.
 //!
-//! Looking costs what gathering costs, and the memory of the whole scene on the first rank. Nobody's neighbours are known there.
+//! Looking costs what gathering costs, and the memory of the whole scene on the first rank. Nobody's neighbours are known there, nor what gauges on
+//! walls read: that is for all ranks to read together.
 
 use super::{Compressibility, Fields, Params, Scheme, Stages, StepReport};
 use crate::bodies::Bodies;
@@ -17,21 +18,18 @@ pub struct Still<const D: usize> {
     halo: Halo<D>,
     crowding: Vec<f64>,
     surface: Vec<f64>,
-    active: Vec<bool>,
-    wall_force: Vec<Vector<D>>,
     neighbors: Neighbors<D>,
-    walls_carry_pressure: bool,
     state: Vec<f64>,
     compressibility: Option<Compressibility>,
     stages: Stages,
     bodies: Bodies<D>,
 }
 
-/// One particle on its way to the first rank: number if it is a solid, state, crowding, surface weight, activity, force.
-type Record<const D: usize> = (Option<usize>, Fluid<D>, f64, f64, bool, Vector<D>);
+/// One particle on its way to the first rank: number if it is a solid, state, crowding, surface weight.
+type Record<const D: usize> = (Option<usize>, Fluid<D>, f64, f64);
 
 const fn width(dimension: usize) -> usize {
-    3 * dimension + 6
+    2 * dimension + 5
 }
 
 impl<const D: usize> Still<D> {
@@ -46,10 +44,7 @@ impl<const D: usize> Still<D> {
             // A failing state may have outgrown its fields.
             let crowding = fields.crowding.get(a).copied().unwrap_or(1.0);
             let surface = fields.surface.get(a).copied().unwrap_or(0.0);
-            let active = fields.active.get(a).copied().unwrap_or(number.is_none());
-            let force = fields.wall_force.get(a).copied().filter(|_| number.is_some());
-            let force = force.unwrap_or_else(Vector::zeros);
-            pack(&(number, particles.fluid_particle(a), crowding, surface, active, force), &mut message);
+            pack(&(number, particles.fluid_particle(a), crowding, surface), &mut message);
         }
         let parts = params.ranks.gather(message);
         if !params.ranks.is_first() {
@@ -68,10 +63,7 @@ impl<const D: usize> Still<D> {
             halo: Halo::new(params.periodic, params.support()),
             crowding: vec![1.0; count],
             surface: vec![0.0; count],
-            active: vec![true; count],
-            wall_force: vec![Vector::zeros(); fields.wall_force.len()],
             neighbors: Neighbors::default(),
-            walls_carry_pressure: fields.walls_carry_pressure,
             state: scheme.state(),
             compressibility: scheme.compressibility(),
             stages: scheme.stages().clone(),
@@ -80,12 +72,9 @@ impl<const D: usize> Still<D> {
         let first = whole.solids();
         let numbered = liquid.into_iter().enumerate().map(|(k, record)| (first + k, record));
         let solids = solids.into_iter().filter_map(|record| Some((record.0?, record)));
-        for (a, (_, (_, velocity, pressure, _), crowding, surface, active, force)) in solids.chain(numbered) {
+        for (a, (_, (_, velocity, pressure, _), crowding, surface)) in solids.chain(numbered) {
             (whole.velocity[a], whole.pressure[a]) = (velocity, pressure);
-            (still.crowding[a], still.surface[a], still.active[a]) = (crowding, surface, active);
-            if let Some(place) = still.wall_force.get_mut(a) {
-                *place = force;
-            }
+            (still.crowding[a], still.surface[a]) = (crowding, surface);
         }
         still.add_ghosts(&mut whole);
         Some((whole, still))
@@ -98,24 +87,21 @@ impl<const D: usize> Still<D> {
             field.resize(whole.len(), 0.0);
             self.halo.refresh(whole.originals(), field);
         }
-        self.active.resize(whole.len(), false);
-        self.halo.refresh(whole.originals(), &mut self.active);
     }
 }
 
 fn pack<const D: usize>(record: &Record<D>, message: &mut Vec<f64>) {
-    let (number, (position, velocity, pressure, id), crowding, surface, active, force) = record;
+    let (number, (position, velocity, pressure, id), crowding, surface) = record;
     message.push(number.map_or(-1.0, |number| number as f64));
-    [position, velocity, force].into_iter().for_each(|vector| vector.pack(message));
-    message.extend([*pressure, *id as f64, *crowding, *surface, f64::from(u8::from(*active))]);
+    [position, velocity].into_iter().for_each(|vector| vector.pack(message));
+    message.extend([*pressure, *id as f64, *crowding, *surface]);
 }
 
 fn unpack<const D: usize>(words: &[f64]) -> Record<D> {
     let number = (words[0] >= 0.0).then_some(words[0] as usize);
     let vector = |k: usize| Vector::unpack(&words[1 + k * D..1 + (k + 1) * D]);
-    let rest = &words[1 + 3 * D..];
-    let particle = (vector(0), vector(1), rest[0], rest[1] as u64);
-    (number, particle, rest[2], rest[3], rest[4] != 0.0, vector(2))
+    let rest = &words[1 + 2 * D..];
+    (number, (vector(0), vector(1), rest[0], rest[1] as u64), rest[2], rest[3])
 }
 
 impl<const D: usize> Scheme<D> for Still<D> {
@@ -153,14 +139,7 @@ impl<const D: usize> Scheme<D> for Still<D> {
     }
 
     fn fields(&self) -> Fields<'_, D> {
-        Fields {
-            crowding: &self.crowding,
-            surface: &self.surface,
-            active: &self.active,
-            neighbors: &self.neighbors,
-            walls_carry_pressure: self.walls_carry_pressure,
-            wall_force: &self.wall_force,
-        }
+        Fields { crowding: &self.crowding, surface: &self.surface, ..Fields::none(&self.neighbors) }
     }
 
     fn save_system(&self, _: &Path, _: &str) -> Result<()> {
