@@ -30,9 +30,11 @@ mod petsc {
         "PetscFunctionListGet",
         "PetscLogStage(Register|Push|Pop)",
         "PetscSplitOwnership",
+        "PetscContainer(Create|SetPointer|SetUserDestroy|Destroy)",
+        "PetscObjectCompose",
         "PetscViewer(Create|SetType|FileSetMode|FileSetName|BinarySetSkipInfo|Destroy)",
         "Vec(Create|SetSizes|SetType|GetSize|GetArray|RestoreArray|GetArrayRead|RestoreArrayRead|Set|Norm|Copy|AYPX|Scale|View|Destroy)",
-        "Mat(CreateSeqAIJWithArrays|CreateMPIAIJWithSplitArrays|Duplicate|GetSize|GetInfo|Mult|Norm|Transpose|IsSymmetric|View|Destroy)",
+        "Mat(CreateSeqAIJWithArrays|CreateMPIAIJWithSplitArrays|GetSize|GetInfo|Mult|Norm|Transpose|IsSymmetric|View|Destroy)",
         "Mat(SetNullSpace|SetTransposeNullSpace|NullSpaceCreate|NullSpaceRemove|NullSpaceDestroy)",
         "KSP(InitializePackage|Create|Destroy|SetOptionsPrefix|SetType|GetType|GetPC|SetOperators|SetFromOptions|SetUp|Solve)",
         "KSP(SetTolerances|GetTolerances|SetPCSide|SetNormType|SetInitialGuessNonzero|GMRESSetRestart)",
@@ -49,7 +51,7 @@ mod petsc {
         "PC_RIGHT",
         "KSP_NORM_UNPRECONDITIONED",
         "FILE_MODE_WRITE",
-        "MAT_(INITIAL_MATRIX|GLOBAL_SUM|COPY_VALUES)",
+        "MAT_(INITIAL_MATRIX|GLOBAL_SUM)",
     ];
 
     pub fn bind() -> Result<(), String> {

@@ -16,7 +16,7 @@
 //! the rank that holds it.
 
 use crate::parallel::partition::Slabs;
-use crate::parallel::{Packed, Ranks};
+use crate::parallel::{self, Packed, Ranks};
 use crate::particles::{Fluid, Particles, Vector};
 use serde::Serialize;
 
@@ -87,8 +87,10 @@ pub struct Halo<const D: usize> {
 #[derive(Debug, Clone)]
 struct Peers<const D: usize> {
     slabs: Slabs,
-    /// Renewals since the slabs were cut.
+    /// Renewals since the last look at the balance.
     age: usize,
+    /// What this rank has worked since then, in s.
+    work: f64,
     /// Which solids this rank holds.
     holds: Vec<bool>,
     /// For each rank: solids held here that it needs, and solids held there that are needed here.
@@ -112,6 +114,8 @@ struct Tally {
     handed_over: usize,
     /// How often slabs were cut.
     cuts: usize,
+    /// What it has worked, in s.
+    work: f64,
 }
 
 /// How the liquid was shared out among ranks, since this program started.
@@ -119,14 +123,22 @@ struct Tally {
 pub struct Sharing {
     /// Number of ranks.
     pub ranks: usize,
-    /// Mean number of liquid particles of the rank with most over the mean of all ranks.
+    /// Work of the rank with most over the mean of all ranks, measured.
     pub imbalance: f64,
+    /// The same for the number of liquid particles.
+    pub fullest: f64,
     /// Ghosts of other ranks' liquid over liquid, on average.
     pub ghosts_per_particle: f64,
     /// Liquid particles that went to another rank.
     pub handed_over: usize,
     /// How often slabs were cut.
     pub cuts: usize,
+    /// Calls to all ranks outside PETSc.
+    pub calls: usize,
+    /// What the ranks sent each other in them, in bytes.
+    pub sent_bytes: f64,
+    /// What a rank waited in them on average, in s.
+    pub waited_s: f64,
 }
 
 /// Renewals between two looks at the balance of the ranks.
@@ -153,6 +165,7 @@ impl<const D: usize> Halo<D> {
         let peers = Peers {
             slabs: Slabs::default(),
             age: BALANCE_EVERY,
+            work: 0.0,
             holds: vec![],
             solids_out: nobody.clone(),
             solids_in: nobody,
@@ -183,15 +196,29 @@ impl<const D: usize> Halo<D> {
     /// How all ranks, which have to ask at once, shared the liquid; nothing on one rank.
     pub fn sharing(&self) -> Option<Sharing> {
         let tally = self.peers.as_ref()?.tally;
-        let here = [tally.own, tally.ghosts, tally.handed_over].map(|count| count as f64);
-        let [own, ghosts, handed_over] = self.ranks.sums(&here)[..] else { return None };
+        let traffic = parallel::traffic();
+        let counts = [tally.own, tally.ghosts, tally.handed_over, traffic.sent].map(|count| count as f64);
+        let [own, ghosts, handed_over, sent] = self.ranks.sums(&counts)[..] else { return None };
+        let uneven = |local: f64| self.ranks.max(local) * self.ranks.count() as f64 / self.ranks.sum(local);
         Some(Sharing {
             ranks: self.ranks.count(),
-            imbalance: self.ranks.max(here[0]) * self.ranks.count() as f64 / own.max(1.0),
+            imbalance: uneven(tally.work),
+            fullest: uneven(tally.own as f64),
             ghosts_per_particle: ghosts / own.max(1.0),
             handed_over: handed_over as usize,
             cuts: tally.cuts,
+            calls: traffic.calls,
+            sent_bytes: size_of::<f64>() as f64 * sent,
+            waited_s: self.ranks.sum(traffic.waited.as_secs_f64()) / self.ranks.count() as f64,
         })
+    }
+
+    /// Books what this rank has worked for its liquid, in s, by which slabs are cut.
+    pub fn book(&mut self, work: f64) {
+        if let Some(peers) = &mut self.peers {
+            peers.work += work;
+            peers.tally.work += work;
+        }
     }
 
     /// Whether this rank holds particle `a`, no ghost: all liquid that it has, and the solids in its slab.
@@ -232,8 +259,14 @@ impl<const D: usize> Halo<D> {
         if peers.age > BALANCE_EVERY {
             peers.age = 0;
             let x = particles.position[particles.fluid()].iter().map(|r| r[0]);
-            if peers.holds.is_empty() || Slabs::are_uneven(&self.ranks, x.len()) {
-                peers.slabs = Slabs::balanced(&self.ranks, x, 0.25 * self.reach);
+            // Before the first step each particle counts the same.
+            let is_known = self.ranks.sum(peers.work) > 0.0;
+            let work = if is_known { std::mem::take(&mut peers.work) } else { x.len() as f64 };
+            if peers.holds.is_empty() || Slabs::are_uneven(&self.ranks, work) {
+                let [total, liquid] = self.ranks.sums(&[work, x.len() as f64])[..] else { return };
+                // Half way to what was measured: clocks are noisy, and the next look is near.
+                let each = 0.5 * (work / x.len().max(1) as f64 + total / liquid.max(1.0));
+                peers.slabs = Slabs::balanced(&self.ranks, x, each, 0.25 * self.reach);
                 peers.tally.cuts += 1;
                 are_stale = true;
             }

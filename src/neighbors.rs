@@ -265,13 +265,17 @@ impl Pairs {
             self.reserve(end, whole.len());
             let numbers = cells.sorted[whole.clone()].as_chunks::<LANES>().0;
             let axes = cells.position.0.each_ref().map(|axis| axis[whole.clone()].as_chunks::<LANES>().0);
+            let index = &mut self.index[end..end + whole.len()];
+            let squares = &mut self.kernel[end..end + whole.len()];
+            let mut kept = 0;
             for (k, number) in numbers.iter().enumerate() {
                 let away: [Lanes; D] = std::array::from_fn(|d| r_a[d] - Lanes::new(axes[d][k]));
                 let block = (number, dot(&away, &away), run.len() - k * LANES);
-                let room = (self.index[end..].first_chunk_mut(), self.kernel[end..].first_chunk_mut());
+                let room = (index[kept..].first_chunk_mut(), squares[kept..].first_chunk_mut());
                 let (Some(index), Some(squares)) = room else { unreachable!("there is room for the run") };
-                end += keep_near(block, (limit, a as u32), index, squares);
+                kept += keep_near(block, (limit, a as u32), index, squares);
             }
+            end += kept;
         }
         end
     }
@@ -422,21 +426,41 @@ impl<'a> Row<'a> {
 
     /// The neighbours by blocks of [`LANES`], as (b, F_ab). The last block is filled up with its first neighbour and F = 0.
     #[inline]
-    pub fn blocks(self) -> impl Iterator<Item = ([u32; LANES], Lanes)> + 'a {
-        let (index, rest) = self.index.as_chunks();
-        let (gradient, weights) = self.gradient.as_chunks();
-        let last = rest.first().map(|first| {
-            let index = std::array::from_fn(|k| *rest.get(k).unwrap_or(first));
-            (index, Lanes::new(std::array::from_fn(|k| *weights.get(k).unwrap_or(&0.0))))
-        });
-        let whole = index.iter().zip(gradient);
-        whole.map(|(index, gradient)| (*index, Lanes::new(*gradient))).chain(last)
+    pub fn blocks(self) -> Blocks<'a> {
+        Blocks { index: self.index, gradient: self.gradient }
     }
 
     /// (b, W_ab, F_ab) of each neighbour.
     #[inline]
     pub fn iter(self) -> impl Iterator<Item = (usize, f64, f64)> + 'a {
         self.index.iter().zip(self.kernel).zip(self.gradient).map(|((&b, &w), &f)| (b as usize, w, f))
+    }
+}
+
+/// What [`Row::blocks`] gives. Whole blocks and the last one leave at the same place, so that the body of a loop over them is compiled
+/// once and into it.
+#[derive(Debug, Clone)]
+pub struct Blocks<'a> {
+    index: &'a [u32],
+    gradient: &'a [f64],
+}
+
+impl Iterator for Blocks<'_> {
+    type Item = ([u32; LANES], Lanes);
+
+    #[inline]
+    fn next(&mut self) -> Option<Self::Item> {
+        let whole = self.index.split_first_chunk().zip(self.gradient.split_first_chunk());
+        let block = if let Some(((index, indices), (gradient, gradients))) = whole {
+            (self.index, self.gradient) = (indices, gradients);
+            (*index, Lanes::new(*gradient))
+        } else {
+            let (index, gradient) = (std::mem::take(&mut self.index), std::mem::take(&mut self.gradient));
+            let first = index.first()?;
+            let filled = std::array::from_fn(|k| *index.get(k).unwrap_or(first));
+            (filled, Lanes::new(std::array::from_fn(|k| *gradient.get(k).unwrap_or(&0.0))))
+        };
+        Some(block)
     }
 }
 

@@ -192,12 +192,16 @@ impl<const D: usize> fmt::Display for Report<'_, D> {
             line(
                 "ranks",
                 format!(
-                    "{}, the fullest with {:.2} times the mean liquid; {:.2} ghosts a particle, {} particles handed over, cut {} times",
+                    "{}, the busiest with {:.2} times the mean work, the fullest with {:.2} times the mean liquid; {:.2} ghosts a particle, {} particles handed over, cut {} times; {} calls beside PETSc's, {:.3} MB sent, {:.2} s of waiting a rank",
                     sharing.ranks,
                     sharing.imbalance,
+                    sharing.fullest,
                     sharing.ghosts_per_particle,
                     sharing.handed_over,
-                    sharing.cuts
+                    sharing.cuts,
+                    sharing.calls,
+                    1e-6 * sharing.sent_bytes,
+                    sharing.waited_s
                 ),
             )?;
         }

@@ -49,10 +49,12 @@ pub fn check(args: &RunArgs, case: &CaseFile) -> Result<()> {
     })
 }
 
+/// The main thread, which alone calls MPI and PETSc, is one of them: with one thread nothing changes threads at all.
 fn start_threads(threads: Option<usize>) -> Result<()> {
     let Some(threads) = threads else { return Ok(()) };
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
+        .use_current_thread()
         .build_global()
         .map_err(|error| Error::Input(format!("--threads {threads}: {error}: try fewer")))
 }

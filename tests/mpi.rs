@@ -91,8 +91,9 @@ fn the_end_tells_how_ranks_shared_the_liquid() {
     let found = of(3);
     let number = |name: &str| found[name].as_f64().unwrap();
     assert_eq!(number("ranks"), 3.0);
-    // Slabs are cut anew when one has a tenth too much, which a column of liquid 5 particles wide exceeds for as long as it stands.
-    assert!((1.0..1.5).contains(&number("imbalance")), "{found}");
+    // Slabs of liquid 5 to 10 particles wide hold a whole number of columns.
+    assert!((1.0..1.5).contains(&number("fullest")), "{found}");
+    assert!((1.0..3.0).contains(&number("imbalance")), "{found}");
     // A support of 4 spacings on both sides of both cuts, in liquid 5 to 10 spacings wide.
     assert!((0.5..4.0).contains(&number("ghosts_per_particle")), "{found}");
     assert!(number("handed_over") > 0.0 && number("cuts") >= 1.0, "{found}");

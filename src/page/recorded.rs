@@ -104,7 +104,7 @@ fn figures(summary: &Value, case: &CaseFile) -> Vec<(String, String)> {
         ("memory", number(&["memory_mb"]).map(|m| format!("{m:.0} MB"))),
         ("ranks", number(&["ranks", "ranks"]).map(|n| n.to_string())),
         (
-            "liquid of the fullest rank over the mean",
+            "work of the busiest rank over the mean",
             number(&["ranks", "imbalance"]).map(|n| format!("{n:.2}")),
         ),
     ];

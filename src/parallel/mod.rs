@@ -20,6 +20,38 @@ pub use world::{Running, abort, launch, start};
 
 use crate::{Error, Result};
 use nalgebra::SMatrix;
+use std::cell::Cell;
+use std::time::{Duration, Instant};
+
+/// What passed between this rank and others since it started. What PETSc passes is not in it.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Traffic {
+    /// Time spent in calls, for the most part waiting.
+    pub waited: Duration,
+    /// Calls in which all ranks take part.
+    pub calls: usize,
+    /// Doubles sent to others.
+    pub sent: usize,
+}
+
+thread_local! {
+    /// Only the main thread calls other ranks.
+    static TRAFFIC: Cell<Traffic> = const { Cell::new(Traffic { waited: Duration::ZERO, calls: 0, sent: 0 }) };
+}
+
+/// The traffic of this rank so far.
+pub fn traffic() -> Traffic {
+    TRAFFIC.get()
+}
+
+/// Runs a call to other ranks, to whom it sends `doubles`.
+fn pass<T>(doubles: usize, call: impl FnOnce() -> T) -> T {
+    let start = Instant::now();
+    let result = call();
+    let Traffic { waited, calls, sent } = TRAFFIC.get();
+    TRAFFIC.set(Traffic { waited: waited + start.elapsed(), calls: calls + 1, sent: sent + doubles });
+    result
+}
 
 /// The ranks that share a simulation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,12 +103,12 @@ impl Ranks {
 
     /// Sums over ranks, entry by entry.
     pub fn sums(&self, local: &[f64]) -> Vec<f64> {
-        if self.are_several() { world::sums(local) } else { local.to_vec() }
+        if self.are_several() { pass(local.len(), || world::sums(local)) } else { local.to_vec() }
     }
 
     /// Largest value over ranks.
     pub fn max(&self, local: f64) -> f64 {
-        if self.are_several() { world::max(local) } else { local }
+        if self.are_several() { pass(1, || world::max(local)) } else { local }
     }
 
     /// Whether it is so on any rank.
@@ -107,13 +139,23 @@ impl Ranks {
         if !self.are_several() {
             return parts;
         }
-        let counts = world::counts(&parts);
-        world::exchange(&parts, &counts)
+        pass(self.count_sent(&parts), || {
+            let counts = world::counts(&parts);
+            world::exchange(&parts, &counts)
+        })
     }
 
     /// [`exchange`](Self::exchange) where this rank knows how many doubles come from each.
     pub fn exchange_expected(&self, parts: Vec<Vec<f64>>, counts: Vec<usize>) -> Vec<Vec<f64>> {
-        if self.are_several() { world::exchange(&parts, &counts) } else { parts }
+        if !self.are_several() {
+            return parts;
+        }
+        pass(self.count_sent(&parts), || world::exchange(&parts, &counts))
+    }
+
+    /// Doubles in the parts for others.
+    fn count_sent(&self, parts: &[Vec<f64>]) -> usize {
+        parts.iter().enumerate().filter(|(q, _)| *q != self.rank).map(|(_, part)| part.len()).sum()
     }
 
     /// The first rank's text, on all ranks.

@@ -122,6 +122,12 @@ impl Ksp {
         check(unsafe { ffi::KSPSetInitialGuessNonzero(self.raw, nonzero.into()) })
     }
 
+    /// Lets go of the matrices, which are freed if nothing else holds them.
+    pub fn release_operators(&mut self) -> Result<()> {
+        // SAFETY: `raw` is a live solver; it takes null for no matrix, until it is given others.
+        check(unsafe { ffi::KSPSetOperators(self.raw, ptr::null_mut(), ptr::null_mut()) })
+    }
+
     /// Makes `inner` this solver's preconditioner.
     pub fn set_inner(&mut self, inner: &Self) -> Result<()> {
         let pc = self.pc()?;

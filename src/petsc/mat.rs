@@ -1,5 +1,6 @@
 //! Distributed sparse matrices and their null spaces.
 
+use std::ffi::c_void;
 use std::mem::MaybeUninit;
 use std::ops::Range;
 use std::ptr;
@@ -20,7 +21,7 @@ pub struct Matrix {
 impl Matrix {
     /// Copies this rank's rows, given as compressed rows with global column numbers that ascend in each, in one go.
     ///
-    /// PETSc's own call for this inserts row by row; here it borrows the lists as they are and duplicates that.
+    /// PETSc's own call for this inserts row by row; here it borrows lists that it frees with the matrix.
     ///
     /// # Errors
     /// [`Error::Run`] when the three lists do not describe rows of a square matrix.
@@ -34,49 +35,67 @@ impl Matrix {
         // SAFETY: both numbers outlive the call; it only adds up `local` over the ranks.
         check(unsafe { ffi::PetscSplitOwnership(session.comm(), &raw mut local, &raw mut global) })?;
         check_rows(start, column, value, global)?;
-        let empty = || Self { raw: ptr::null_mut(), session: Rc::clone(session) };
-        let mut matrix = empty();
+        // Declared after the lists, the matrix goes before them if it does not come to own them.
+        let mut lists: Box<[Lists]>;
+        let mut matrix = Self { raw: ptr::null_mut(), session: Rc::clone(session) };
         if session.size() == 1 {
-            let mut borrowed = empty();
-            let (i, j, v) = (start.as_ptr(), column.as_ptr(), value.as_ptr());
-            // SAFETY: the lists were checked above; PETSc only reads them, as long as `borrowed` lives.
-            unsafe {
-                check(ffi::MatCreateSeqAIJWithArrays(
+            lists =
+                Box::new([Lists { start: start.to_vec(), column: column.to_vec(), value: value.to_vec() }]);
+            let (start, column, value) = lists[0].pointers();
+            // SAFETY: the lists were checked above and live as long as the matrix.
+            check(unsafe {
+                ffi::MatCreateSeqAIJWithArrays(
                     session.comm(),
                     local,
                     local,
-                    i.cast_mut(),
-                    j.cast_mut(),
-                    v.cast_mut(),
-                    &raw mut borrowed.raw,
-                ))?;
-                check(ffi::MatDuplicate(borrowed.raw, ffi::MAT_COPY_VALUES, &raw mut matrix.raw))?;
-            }
-            return Ok(matrix);
+                    start,
+                    column,
+                    value,
+                    &raw mut matrix.raw,
+                )
+            })?;
+        } else {
+            let first = session.before(local);
+            lists = Box::new(split(first..first + local, start, column, value));
+            let (own, others) = (lists[0].pointers(), lists[1].pointers());
+            // SAFETY: both halves are sound since the lists are, and live as long as the matrix, which renumbers the columns of
+            // others in place.
+            check(unsafe {
+                ffi::MatCreateMPIAIJWithSplitArrays(
+                    session.comm(),
+                    local,
+                    local,
+                    global,
+                    global,
+                    own.0,
+                    own.1,
+                    own.2,
+                    others.0,
+                    others.1,
+                    others.2,
+                    &raw mut matrix.raw,
+                )
+            })?;
         }
-        let first = session.before(local);
-        let Split { mut own, mut others } = Split::new(first..first + local, start, column, value);
-        let mut borrowed = empty();
-        // SAFETY: both halves are sound since the lists are, and outlive `borrowed`, which renumbers the columns of
-        // `others` in place: declared after them, it goes first.
-        unsafe {
-            check(ffi::MatCreateMPIAIJWithSplitArrays(
-                session.comm(),
-                local,
-                local,
-                global,
-                global,
-                own.0.as_mut_ptr(),
-                own.1.as_mut_ptr(),
-                own.2.as_mut_ptr(),
-                others.0.as_mut_ptr(),
-                others.1.as_mut_ptr(),
-                others.2.as_mut_ptr(),
-                &raw mut borrowed.raw,
-            ))?;
-            check(ffi::MatDuplicate(borrowed.raw, ffi::MAT_COPY_VALUES, &raw mut matrix.raw))?;
-        }
+        matrix.keep(lists)?;
         Ok(matrix)
+    }
+
+    /// Leaves the lists that the matrix borrows to PETSc, which frees them when the last of its objects lets go of the matrix.
+    fn keep(&mut self, lists: Box<[Lists]>) -> Result<()> {
+        let mut container = ptr::null_mut();
+        // SAFETY: a new container, on the communicator of the matrix.
+        check(unsafe { ffi::PetscContainerCreate(self.session.comm(), &raw mut container) })?;
+        // A thin pointer for C, to what no longer moves.
+        let lists = Box::into_raw(Box::new(lists));
+        // SAFETY: live objects; the container passes `lists` to `free`, once, and the matrix takes its own reference of it. The lists
+        // themselves, which `lists` points to, stay where they are.
+        unsafe {
+            check(ffi::PetscContainerSetPointer(container, lists.cast()))?;
+            check(ffi::PetscContainerSetUserDestroy(container, Some(free)))?;
+            check(ffi::PetscObjectCompose(self.raw.cast(), c"lists".as_ptr(), container.cast()))?;
+            check(ffi::PetscContainerDestroy(&raw mut container))
+        }
     }
 
     /// Rows over all ranks.
@@ -156,33 +175,51 @@ impl Drop for Matrix {
     }
 }
 
-/// Rows cut into the columns of this rank, numbered from its first one, and those of others: starts, columns, values.
-struct Split {
-    own: (Vec<Index>, Vec<Index>, Vec<f64>),
-    others: (Vec<Index>, Vec<Index>, Vec<f64>),
+/// Compressed rows as PETSc borrows them.
+#[derive(Default)]
+struct Lists {
+    start: Vec<Index>,
+    column: Vec<Index>,
+    value: Vec<f64>,
 }
 
-impl Split {
-    fn new(mine: Range<Index>, start: &[Index], column: &[Index], value: &[f64]) -> Self {
-        let room = column.len();
-        let mut own = (vec![0], Vec::with_capacity(room), Vec::with_capacity(room));
-        let mut others = (vec![0], vec![], vec![]);
-        for row in start.windows(2) {
-            let row = row[0] as usize..row[1] as usize;
-            let (column, value) = (&column[row.clone()], &value[row]);
-            // Ascending: those of other ranks lie before and behind.
-            let [from, to] = [mine.start, mine.end].map(|end| column.partition_point(|c| *c < end));
-            own.1.extend(column[from..to].iter().map(|c| c - mine.start));
-            own.2.extend_from_slice(&value[from..to]);
-            for side in [0..from, to..column.len()] {
-                others.1.extend_from_slice(&column[side.clone()]);
-                others.2.extend_from_slice(&value[side]);
-            }
-            own.0.push(own.1.len() as Index);
-            others.0.push(others.1.len() as Index);
-        }
-        Self { own, others }
+impl Lists {
+    fn pointers(&mut self) -> (*mut Index, *mut Index, *mut f64) {
+        (self.start.as_mut_ptr(), self.column.as_mut_ptr(), self.value.as_mut_ptr())
     }
+
+    fn append(&mut self, column: impl Iterator<Item = Index>, value: &[f64]) {
+        self.column.extend(column);
+        self.value.extend_from_slice(value);
+    }
+}
+
+/// Frees what [`Matrix::keep`] left to PETSc.
+unsafe extern "C" fn free(lists: *mut c_void) -> ffi::PetscErrorCode {
+    // SAFETY: the pointer came from `Box::into_raw` of this type, and PETSc calls this once.
+    drop(unsafe { Box::from_raw(lists.cast::<Box<[Lists]>>()) });
+    0
+}
+
+/// Rows cut into the columns of this rank, numbered from its first one, and those of others.
+fn split(mine: Range<Index>, start: &[Index], column: &[Index], value: &[f64]) -> [Lists; 2] {
+    let room = column.len();
+    let (columns, values) = (Vec::with_capacity(room), Vec::with_capacity(room));
+    let mut own = Lists { start: vec![0], column: columns, value: values };
+    let mut others = Lists { start: vec![0], ..Lists::default() };
+    for row in start.windows(2) {
+        let row = row[0] as usize..row[1] as usize;
+        let (column, value) = (&column[row.clone()], &value[row]);
+        // Ascending: those of other ranks lie before and behind.
+        let [from, to] = [mine.start, mine.end].map(|end| column.partition_point(|c| *c < end));
+        own.append(column[from..to].iter().map(|c| c - mine.start), &value[from..to]);
+        for side in [0..from, to..column.len()] {
+            others.append(column[side.clone()].iter().copied(), &value[side]);
+        }
+        own.start.push(own.column.len() as Index);
+        others.start.push(others.column.len() as Index);
+    }
+    [own, others]
 }
 
 /// Stored entries of a matrix or of factors, over all ranks.

@@ -594,12 +594,15 @@ impl Groups {
             .filter(|&a| column_of[a] >= 0 && (particles.is_foreign(a) || !halo.holds(a)))
             .map(|a| (column_of[a], a))
             .collect();
-        let own = first..first + particle_of.len();
-        let links: Vec<(usize, usize)> = (0..particle_of.len())
-            .flat_map(|k| system.full.row(k).map(move |(column, _)| (k, column)))
-            .filter(|(_, column)| !own.contains(column))
-            .filter_map(|(k, column)| Some((k, *foreign.get(&(column as Index))?)))
-            .collect();
+        let mine = first as Index..(first + particle_of.len()) as Index;
+        let mut links = vec![];
+        for k in 0..particle_of.len() {
+            // Columns ascend: those of other ranks lie before and behind.
+            let row = &system.full.column[system.full.start[k] as usize..system.full.start[k + 1] as usize];
+            let [from, to] = [mine.start, mine.end].map(|end| row.partition_point(|c| *c < end));
+            let others = row[..from].iter().chain(&row[to..]);
+            links.extend(others.filter_map(|column| Some((k, *foreign.get(column)?))));
+        }
         let mut mark_of = vec![Index::MAX; particles.len()];
         let mut changed = true;
         while ranks.any(changed) {

@@ -383,7 +383,11 @@ impl PressureSolve for PressureSolver {
     /// Solves from the last pressure to the new one; after an error `system.pressure` is as before.
     fn solve(&mut self, system: &mut PressureSystem) -> Result<SolveRecord> {
         let clock = Instant::now();
+        // The last matrices go before new ones come: they are much of the memory.
         self.last = None;
+        if let Some(method) = &mut self.method {
+            method.release()?;
+        }
         let problem = Problem::new(&self.session, system)?;
         self.solve_problem(problem, clock, &mut system.pressure)
     }
@@ -620,6 +624,12 @@ impl Method {
             self.solver.set_operators(&problem.full, pmat.unwrap_or(problem.full_pmat()))?;
             self.solver.set_up()
         }
+    }
+
+    /// Lets go of the matrices of the last system.
+    fn release(&mut self) -> Result<()> {
+        self.outer.as_mut().map_or(Ok(()), Ksp::release_operators)?;
+        self.solver.release_operators()
     }
 
     fn iterate(&mut self, problem: &Problem, from_guess: bool) -> Result<Attempt> {

@@ -471,6 +471,10 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         });
         let solved =
             watch.time("solve", || predicted.and_then(|()| self.solver.solve(&mut self.assembler.system)));
+        if let Ok(record) = &solved {
+            let rows = self.assembler.particle_of.len() * self.params.ranks.count();
+            watch.was_shared(rows as f64 / record.unknowns.max(1) as f64);
+        }
         let solved = watch.time("bodies", || solved.and_then(|record| self.couple(particles, dt, record)));
         watch.time("correct", || {
             if solved.is_ok() {
@@ -485,6 +489,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
             watch.time("shift", || self.shift(particles, dt));
         }
         watch.time("correct", || report.collisions += self.hold(particles, dt));
+        self.halo.book(watch.take_work());
         self.stages = watch;
         report.solve = Some(solved?);
         self.steps += 1;

@@ -13,7 +13,7 @@ use crate::halo::{Halo, PeriodicBox};
 use crate::kernel::{CubicSpline, KernelKind, LatticeSums, Quintic, Smoothing, WendlandC2};
 use crate::neighbors::{Layout, Neighbors};
 use crate::operators::{Moments, Surroundings};
-use crate::parallel::Ranks;
+use crate::parallel::{self, Ranks};
 use crate::particles::{Particles, ReorderScratch, Vector};
 use crate::ppe::SolveRecord;
 use crate::ppe::matrix::NEAR;
@@ -369,23 +369,40 @@ pub fn logged<T>(_: &'static str, work: impl FnOnce() -> T) -> T {
 
 /// Wall-clock time by named stage.
 #[derive(Debug, Clone, Default)]
-pub struct Stages(Vec<(&'static str, Duration)>);
+pub struct Stages {
+    spent: Vec<(&'static str, Duration)>,
+    last: Duration,
+    /// Work of this rank, in s, since it was taken out last.
+    work: f64,
+}
 
 impl Stages {
     /// Runs `work` and books its time under `name`, with PETSc too where that runs.
     pub fn time<T>(&mut self, name: &'static str, work: impl FnOnce() -> T) -> T {
-        let start = std::time::Instant::now();
+        let (start, waited) = (std::time::Instant::now(), parallel::traffic().waited);
         let result = logged(name, work);
         let spent = start.elapsed();
-        match self.0.iter_mut().find(|(n, _)| *n == name) {
+        self.last = spent;
+        self.work += spent.saturating_sub(parallel::traffic().waited - waited).as_secs_f64();
+        match self.spent.iter_mut().find(|(n, _)| *n == name) {
             Some((_, total)) => *total += spent,
-            None => self.0.push((name, spent)),
+            None => self.spent.push((name, spent)),
         }
         result
     }
 
+    /// Tells that all ranks went through the last stage together, and that this one had `share` times the mean of its work.
+    pub fn was_shared(&mut self, share: f64) {
+        self.work += (share - 1.0) * self.last.as_secs_f64();
+    }
+
+    /// What this rank has worked since the last call, in s: the time of all stages but for waiting.
+    pub fn take_work(&mut self) -> f64 {
+        std::mem::take(&mut self.work)
+    }
+
     /// (stage, time) in order of first appearance.
     pub fn iter(&self) -> impl Iterator<Item = (&'static str, Duration)> + '_ {
-        self.0.iter().copied()
+        self.spent.iter().copied()
     }
 }

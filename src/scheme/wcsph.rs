@@ -1030,6 +1030,7 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
         drift(particles, 0.5 * dt);
         self.afloat.arrive(particles, dt);
         self.conclude(particles);
+        self.halo.book(watch.take_work());
         self.stages = watch;
         self.steps += 1;
         Ok(StepReport::default())

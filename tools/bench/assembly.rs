@@ -7,7 +7,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use sphpetsc::case::build::Scene;
+use sphpetsc::case::build::{self, Scene};
 use sphpetsc::ppe::Needs;
 use sphpetsc::scheme::Scheme;
 use sphpetsc::scheme::isph::Isph;
@@ -24,7 +24,9 @@ fn assembly<const D: usize>(scheme: &Isph<D>) -> Duration {
 }
 
 fn assemble<const D: usize>(criterion: &mut Criterion, name: &str) {
-    let (Scene { particles, params, .. }, method) = scenes::scene::<D>(name, None);
+    let (case, scene) = scenes::scene::<D>(name, &[]);
+    let method = build::isph(&case, &scene);
+    let Scene { particles, params, .. } = scene;
     let mut group = criterion.benchmark_group(name);
     group.sample_size(10);
     for (matrices, needs) in MATRICES {

@@ -8,7 +8,7 @@ use sphpetsc::kernel::{Smoothing, WendlandC2};
 use sphpetsc::neighbors::{Layout, Neighbors};
 
 fn search<const D: usize>(criterion: &mut Criterion, name: &str) {
-    let (Scene { particles, params, .. }, _) = scenes::scene::<D>(name, None);
+    let (_, Scene { particles, params, .. }) = scenes::scene::<D>(name, &[]);
     let layout = Layout::of(&particles);
     let smoothing = Smoothing::<D, WendlandC2>::new(params.smoothing_length());
     let mut neighbors = Neighbors::default();

@@ -8,7 +8,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
-use sphpetsc::case::build::Scene;
+use sphpetsc::case::build::{self, Scene};
 use sphpetsc::petsc::{Matrix, Session, Vector};
 use sphpetsc::ppe::solve::PressureSolver;
 use sphpetsc::ppe::{Index, Needs, PressureSolve, PressureSystem};
@@ -23,8 +23,10 @@ const METHODS: [[&str; 2]; 5] =
 const FINE: f64 = 0.004;
 
 /// The pressure system of the first step.
-fn system<const D: usize>(name: &str, spacing: Option<f64>) -> PressureSystem {
-    let (Scene { mut particles, params, .. }, method) = scenes::scene::<D>(name, spacing);
+fn system<const D: usize>(name: &str, sets: &[(&str, String)]) -> PressureSystem {
+    let (case, scene) = scenes::scene::<D>(name, sets);
+    let method = build::isph(&case, &scene);
+    let Scene { mut particles, params, .. } = scene;
     let caught = Rc::new(RefCell::default());
     let needs = Needs { symmetric: true, sparse: true, uncorrected: false };
     let catcher = catcher::Catcher { needs, system: Rc::clone(&caught) };
@@ -44,10 +46,8 @@ fn session() -> Rc<Session> {
 
 fn all(criterion: &mut Criterion) {
     let session = session();
-    let systems = [
-        (scenes::PLANE, system::<2>(scenes::PLANE, None)),
-        (scenes::SPACE, system::<3>(scenes::SPACE, None)),
-    ];
+    let systems =
+        [(scenes::PLANE, system::<2>(scenes::PLANE, &[])), (scenes::SPACE, system::<3>(scenes::SPACE, &[]))];
     for (k, [ksp, pc]) in METHODS.iter().enumerate() {
         for part in ["ksp_type", "pc_type"] {
             session.options().rename(&format!("method{k}_{part}"), part).expect("an option of ours");
@@ -64,7 +64,7 @@ fn all(criterion: &mut Criterion) {
             });
         }
     }
-    multiply(criterion, &session, &system::<3>(scenes::SPACE, Some(FINE)));
+    multiply(criterion, &session, &system::<3>(scenes::SPACE, &[("spacing", FINE.to_string())]));
     triad(criterion);
 }
 

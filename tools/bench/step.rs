@@ -5,7 +5,7 @@ mod scenes;
 use std::rc::Rc;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use sphpetsc::case::build::Scene;
+use sphpetsc::case::build::{self, Scene};
 use sphpetsc::petsc::Session;
 use sphpetsc::ppe::solve::PressureSolver;
 use sphpetsc::scheme::isph::Isph;
@@ -13,7 +13,9 @@ use sphpetsc::simulation::{Simulation, StepControl};
 use sphpetsc::terms::implicit_viscosity::VelocitySolver;
 
 fn step<const D: usize>(criterion: &mut Criterion, session: &Rc<Session>, name: &str) {
-    let (Scene { particles, params, enclosure, .. }, method) = scenes::scene::<D>(name, None);
+    let (case, scene) = scenes::scene::<D>(name, &[]);
+    let method = build::isph(&case, &scene);
+    let Scene { particles, params, enclosure, .. } = scene;
     let solver = PressureSolver::new(Rc::clone(session), particles.fluid().len()).expect("known types");
     let solvers = (Box::new(solver) as _, Box::new(VelocitySolver::new(Rc::clone(session))) as _);
     let scheme = Box::new(Isph::new(params.clone(), method, &particles, solvers));
