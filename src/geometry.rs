@@ -285,17 +285,35 @@ impl<const D: usize> Lattice<D> {
     /// or of a tank wall goes with that side (the nearest one), every other point stays.
     pub fn follow(&self, point: &Vector<D>) -> (Vector<D>, Option<SolidSide>) {
         let Shapes { tank, boxes, .. } = &self.shapes;
-        let solids = boxes.iter().enumerate().map(|(k, solid)| (Some(k), *solid, self.snapped_box(k)));
-        let tank = tank.zip(self.tank).map(|(shape, (cells, _))| (None, shape.inner, self.extent(&cells)));
+        let boxes = boxes.iter().enumerate();
+        let solids = boxes.map(|(k, solid)| (Some(k), *solid, self.snapped_box(k), [[true; 2]; D]));
+        let tank = tank.zip(self.tank).map(|(shape, (cells, _))| {
+            let is_wall = |d: usize, end: usize| !shape.open[d][end] && !shape.periodic[d];
+            let walls = std::array::from_fn(|d| [0, 1].map(|end| is_wall(d, end)));
+            (None, shape.inner, self.extent(&cells), walls)
+        });
+        self.moved_with_side(point, solids.chain(tank))
+    }
+
+    /// Where a point on a body lies on the lattice at the start, likewise.
+    pub fn follow_body(&self, body: usize, point: &Vector<D>) -> Vector<D> {
+        let solid = (None, self.shapes.bodies[body].extent, self.bodies[body].0, [[true; 2]; D]);
+        self.moved_with_side(point, std::iter::once(solid)).0
+    }
+
+    /// Of `solids` each as its number, its extent as given and as snapped, and which of its sides count.
+    fn moved_with_side(
+        &self,
+        point: &Vector<D>,
+        solids: impl Iterator<Item = (Option<usize>, Aabb<D>, Aabb<D>, [[bool; 2]; D])>,
+    ) -> (Vector<D>, Option<SolidSide>) {
         let reach = (0.5 + 1e-6) * self.spacing;
         let mut nearest: Option<(f64, SolidSide, Aabb<D>)> = None;
-        for (solid, given, snapped) in solids.chain(tank) {
+        for (solid, given, snapped, walls) in solids {
             let inside = (0..D).all(|d| given.min[d] - reach <= point[d] && point[d] <= given.max[d] + reach);
             for (axis, end) in (0..D).flat_map(|axis| [(axis, 0), (axis, 1)]).filter(|_| inside) {
                 let away = (point[axis] - given.end(end)[axis]).abs();
-                let is_wall = solid.is_some()
-                    || !self.shapes.tank.is_some_and(|t| t.open[axis][end] || t.periodic[axis]);
-                if is_wall && away <= reach && nearest.is_none_or(|(least, ..)| away < least) {
+                if walls[axis][end] && away <= reach && nearest.is_none_or(|(least, ..)| away < least) {
                     nearest = Some((away, SolidSide { solid, axis, end }, snapped));
                 }
             }

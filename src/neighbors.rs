@@ -61,6 +61,15 @@ impl<const D: usize> Default for Axes<D> {
     }
 }
 
+/// Lower and upper corner of a box.
+type Extent<const D: usize> = (Vector<D>, Vector<D>);
+
+/// The box that holds all `positions`; its upper corner is below the lower one where there are none.
+fn extent_of<'a, const D: usize>(positions: impl Iterator<Item = &'a Vector<D>>) -> Extent<D> {
+    let nothing = (Vector::repeat(f64::INFINITY), Vector::repeat(f64::NEG_INFINITY));
+    positions.fold(nothing, |(min, max), r| (min.inf(r), max.sup(r)))
+}
+
 /// Where cells lie: shared by all cell lists of one search.
 #[derive(Debug, Clone, Copy)]
 struct Grid<const D: usize> {
@@ -82,28 +91,25 @@ impl<const D: usize> Default for Grid<D> {
 }
 
 impl<const D: usize> Grid<D> {
-    /// Covers `positions`, with cells of a `support` across and a slice of it along the last axis. Narrower ones would leave
-    /// fewer candidates, but runs so short that starting each costs more than it saves. Cells are doubled until there are at
-    /// most four a particle: a few particles far away must not cost memory.
-    fn covering(positions: &[Vector<D>], support: f64) -> Self {
-        let mut min: Vector<D> = Vector::repeat(f64::INFINITY);
-        let mut max: Vector<D> = Vector::repeat(f64::NEG_INFINITY);
-        for r in positions {
-            min = min.inf(r);
-            max = max.sup(r);
-        }
-        if positions.is_empty() {
+    /// Covers the box from `min` to `max` of `count` particles, with cells of a `support` across and a slice of it along the last axis.
+    /// Narrower ones would leave fewer candidates, but runs so short that starting each costs more than it saves. Cells are doubled
+    /// until there are at most four a particle: a few particles far away must not cost memory. Whatever the box, cells begin at
+    /// multiples of their width, so that all searches find particles in one order.
+    fn covering((mut min, mut max): Extent<D>, count: usize, support: f64) -> Self {
+        if (0..D).any(|d| max[d] < min[d]) {
             (min, max) = (Vector::zeros(), Vector::zeros());
         }
         let cells = |d: usize, width: f64| ((max[d] - min[d]) / width).floor() + 1.0;
         let mut reach = [1; D];
         reach[D - 1] = SLICES;
         let mut width = reach.map(|reach| support / reach as f64);
-        let count = |width: &[f64; D]| (0..D).map(|d| cells(d, width[d])).product::<f64>();
-        while count(&width) > 4.0 * positions.len() as f64 + 64.0 {
+        let all_cells = |width: &[f64; D]| (0..D).map(|d| cells(d, width[d])).product::<f64>();
+        while all_cells(&width) > 4.0 * count as f64 + 64.0 {
             width = width.map(|width| 2.0 * width);
             reach = reach.map(|reach| reach.div_ceil(2));
         }
+        let min = Vector::from_fn(|d, _| width[d] * (min[d] / width[d]).floor());
+        let cells = |d: usize, width: f64| ((max[d] - min[d]) / width).floor() + 1.0;
         let extent = std::array::from_fn(|d| (cells(d, width[d]) as usize).max(1));
         Self { min, inverse_width: width.map(f64::recip), extent, reach }
     }
@@ -120,12 +126,10 @@ impl<const D: usize> Grid<D> {
 }
 
 impl<const D: usize> CellList<D> {
-    /// Sorts the particles with the numbers in `ranges` by cell (counting sort).
-    fn sort(&mut self, grid: &Grid<D>, ranges: [Range<usize>; 2], position: &[Vector<D>]) {
+    /// Sorts the particles with the numbers `members` by cell (counting sort).
+    fn sort(&mut self, grid: &Grid<D>, members: impl Iterator<Item = usize> + Clone, position: &[Vector<D>]) {
         self.grid = *grid;
         let cells = grid.extent.iter().product::<usize>();
-        let [first, second] = ranges;
-        let members = first.chain(second);
         self.cell_of.clear();
         self.cell_of.extend(members.clone().map(|a| grid.cell(&position[a])));
         self.start.clear();
@@ -254,30 +258,29 @@ impl Pairs {
     #[inline]
     fn gather<const D: usize>(
         &mut self,
-        mut end: usize,
+        end: usize,
         (a, r_a): (usize, &Vector<D>),
         (cells, surrounding): (&CellList<D>, &Surrounding),
         limit: f64,
     ) -> usize {
         let r_a: [Lanes; D] = std::array::from_fn(|d| Lanes::splat(r_a[d]));
+        let whole = |run: &Range<usize>| run.start..run.start + run.len().next_multiple_of(LANES);
+        let room = surrounding.runs.iter().map(|run| whole(run).len()).sum();
+        self.reserve(end, room);
+        let (index, squares) = (&mut self.index[end..end + room], &mut self.kernel[end..end + room]);
+        let mut kept = 0;
         for run in &surrounding.runs {
-            let whole = run.start..run.start + run.len().next_multiple_of(LANES);
-            self.reserve(end, whole.len());
-            let numbers = cells.sorted[whole.clone()].as_chunks::<LANES>().0;
-            let axes = cells.position.0.each_ref().map(|axis| axis[whole.clone()].as_chunks::<LANES>().0);
-            let index = &mut self.index[end..end + whole.len()];
-            let squares = &mut self.kernel[end..end + whole.len()];
-            let mut kept = 0;
+            let numbers = cells.sorted[whole(run)].as_chunks::<LANES>().0;
+            let axes = cells.position.0.each_ref().map(|axis| axis[whole(run)].as_chunks::<LANES>().0);
             for (k, number) in numbers.iter().enumerate() {
                 let away: [Lanes; D] = std::array::from_fn(|d| r_a[d] - Lanes::new(axes[d][k]));
                 let block = (number, dot(&away, &away), run.len() - k * LANES);
                 let room = (index[kept..].first_chunk_mut(), squares[kept..].first_chunk_mut());
-                let (Some(index), Some(squares)) = room else { unreachable!("there is room for the run") };
+                let (Some(index), Some(squares)) = room else { unreachable!("there is room for all runs") };
                 kept += keep_near(block, (limit, a as u32), index, squares);
             }
-            end += kept;
         }
-        end
+        end + kept
     }
 
     /// Kernel factors in place of the squares of distances.
@@ -332,11 +335,21 @@ impl<const D: usize> Neighbors<D> {
         support: f64,
         threshold: impl Fn(usize) -> f64 + Sync,
     ) {
-        let grid = Grid::covering(position, support);
         let Layout { solids, solid_ghosts, solids_see_solids } = layout.clone();
         let (count, first_fluid) = (solid_ghosts.start, solids.end);
-        let fluid = [first_fluid..count, solid_ghosts.end..position.len()];
-        self.solid_cells.sort(&grid, [solids, solid_ghosts], position);
+        let fluid = (first_fluid..count).chain(solid_ghosts.end..position.len());
+        // Where solids see liquid alone, those beyond a support of it need not be looked at.
+        let (min, max) = match solids_see_solids {
+            true => extent_of(position.iter()),
+            false => {
+                let (min, max) = extent_of(fluid.clone().map(|a| &position[a]));
+                (min.add_scalar(-support), max.add_scalar(support))
+            }
+        };
+        let is_inside = |r: &Vector<D>| (0..D).all(|d| min[d] <= r[d] && r[d] <= max[d]);
+        let near = solids.chain(solid_ghosts).filter(|&a| solids_see_solids || is_inside(&position[a]));
+        let grid = Grid::covering((min, max), position.len(), support);
+        self.solid_cells.sort(&grid, near, position);
         self.fluid_cells.sort(&grid, fluid, position);
         self.chunks.resize_with(count.div_ceil(CHUNK), Chunk::default);
         let (solid_cells, fluid_cells) = (&self.solid_cells, &self.fluid_cells);
@@ -351,7 +364,7 @@ impl<const D: usize> Neighbors<D> {
             for (a, r_a) in rows.clone().zip(&position[rows]) {
                 let (least, before) = (threshold(a), end);
                 let mut liquid = 0;
-                if least < f64::INFINITY {
+                if least < f64::INFINITY && is_inside(r_a) {
                     chunk.near_liquid.find(fluid_cells, r_a);
                     end = chunk.pairs.gather(end, (a, r_a), (fluid_cells, &chunk.near_liquid), limit);
                     chunk.pairs.weigh(before..end, smoothing);
@@ -398,10 +411,10 @@ impl<const D: usize> Neighbors<D> {
     /// The particles from number `first` on in cell order, by their numbers from there: the order that makes neighbours close in memory,
     /// and that in which rows list them. Uses this list's buffers and so forgets its cells.
     pub fn cell_order(&mut self, position: &[Vector<D>], first: usize, support: f64) -> &[u32] {
-        // The grid of a search, which covers solids as well.
-        let grid = Grid::covering(position, support);
+        let count = position.len();
         let position = &position[first..];
-        self.fluid_cells.sort(&grid, [0..position.len(), 0..0], position);
+        let grid = Grid::covering(extent_of(position.iter()), count, support);
+        self.fluid_cells.sort(&grid, 0..position.len(), position);
         &self.fluid_cells.sorted[..position.len()]
     }
 }

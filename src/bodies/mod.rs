@@ -254,18 +254,23 @@ impl<const D: usize> Bodies<D> {
         self.list.iter().map(|body| (body.state.position, body.state.rotation))
     }
 
+    /// Body of solid particle `a`, if it belongs to one.
+    #[inline]
+    pub fn of(&self, a: usize) -> Option<usize> {
+        let k = *self.owner.get(a)?;
+        (k != NO_BODY).then_some(k as usize)
+    }
+
     /// Body of solid particle `a`, if it belongs to one that can move.
     #[inline]
     pub fn movable(&self, a: usize) -> Option<usize> {
-        let k = *self.owner.get(a)?;
-        (k != NO_BODY && self.list[k as usize].motion != Motion::Fixed).then_some(k as usize)
+        self.of(a).filter(|&k| self.list[k].motion != Motion::Fixed)
     }
 
     /// Body of solid particle `a`, if it moves by the forces on it.
     #[inline]
     pub fn free(&self, a: usize) -> Option<usize> {
-        let k = *self.owner.get(a)?;
-        (k != NO_BODY && matches!(self.list[k as usize].motion, Motion::Free { .. })).then_some(k as usize)
+        self.of(a).filter(|&k| matches!(self.list[k].motion, Motion::Free { .. }))
     }
 
     /// Adds up the hits that all ranks have seen.
@@ -590,7 +595,8 @@ impl<const D: usize> Body<D> {
         }
     }
 
-    fn turned(&self, v: &Vector<D>) -> Vector<D> {
+    /// A vector of the body, given as at the start, as it lies now.
+    pub fn turned(&self, v: &Vector<D>) -> Vector<D> {
         match self.state.rotation == Matrix3::identity() {
             true => *v,
             false => restrict(&(self.state.rotation * point(v))),

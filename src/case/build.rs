@@ -74,14 +74,24 @@ pub fn scene<const D: usize>(case: &CaseFile) -> Scene<D> {
 /// Sentences on how a gauge follows the face it is on.
 fn moved_gauge<const D: usize>(case: &CaseFile, lattice: &Lattice<D>, probe: &Probe) -> Vec<String> {
     let Some(at) = probe.position().map(vector) else { return vec![] };
-    let (to, Some(side)) = lattice.follow(&at) else { return vec![] };
-    let solid = side.solid.map_or("the tank", |k| &case.boxes[k].name);
-    let [name, side] = [probe.name(), side_name::<D>(side)];
+    let (to, solid) = match ridden(case, probe) {
+        Some(body) => (lattice.follow_body(body, &at), case.bodies[body].name.clone()),
+        None => {
+            let (to, Some(side)) = lattice.follow(&at) else { return vec![] };
+            let solid = side.solid.map_or("the tank", |k| &case.boxes[k].name);
+            (to, format!("the {} side of {solid}", side_name::<D>(side)))
+        }
+    };
     let axes = axes(D).enumerate().filter(|&(d, _)| (to[d] - at[d]).abs() > 1e-6 * case.spacing);
-    axes.map(|(d, axis)| {
-        format!("gauge {name} {axis} = {} m follows the {side} side of {solid} to {:.6} m", at[d], to[d])
-    })
-    .collect()
+    let name = probe.name();
+    axes.map(|(d, axis)| format!("gauge {name} {axis} = {} m follows {solid} to {:.6} m", at[d], to[d]))
+        .collect()
+}
+
+/// Number of the body that a gauge rides on.
+fn ridden(case: &CaseFile, probe: &Probe) -> Option<usize> {
+    let name = probe.rides_on()?;
+    case.bodies.iter().position(|body| body.name == name)
 }
 
 fn side_name<const D: usize>(side: SolidSide) -> &'static str {

@@ -669,6 +669,9 @@ pub enum Probe {
         /// Window in s of a running mean over the past; absent: every reading as it is.
         #[serde(skip_serializing_if = "Option::is_none")]
         filter: Option<f64>,
+        /// Name of the body that it rides on, with its position at the start.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        body: Option<String>,
     },
     /// Water height on a vertical line, in m above its lowest point.
     Height {
@@ -701,6 +704,14 @@ impl Probe {
         match self {
             Self::Pressure { position, .. } | Self::Height { position, .. } => Some(position),
             Self::Force { .. } => None,
+        }
+    }
+
+    /// Body that it rides on, by name.
+    pub fn rides_on(&self) -> Option<&str> {
+        match self {
+            Self::Pressure { body, .. } => body.as_deref(),
+            _ => None,
         }
     }
 

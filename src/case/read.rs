@@ -797,6 +797,11 @@ fn read_output(r: &Reader, until: f64) -> OutputParams {
     }
 }
 
+/// What to give for a name that is none of `known`.
+fn one_of(known: &[&str], none: &str) -> String {
+    if known.is_empty() { none.to_owned() } else { format!("give one of {}", known.join(", ")) }
+}
+
 fn read_probe(r: &Reader) -> Probe {
     const KINDS: [&str; 3] = ["pressure", "height", "force"];
     let kind =
@@ -812,7 +817,8 @@ fn read_probe(r: &Reader) -> Probe {
     if kind == "height" {
         return Probe::Height { name, position };
     }
-    Probe::Pressure { name, position, filter: r.number("filter", Range::Positive, "s").optional() }
+    let filter = r.number("filter", Range::Positive, "s").optional();
+    Probe::Pressure { name, position, filter, body: r.name("body").optional() }
 }
 
 fn read_exact(r: &Reader) -> ExactSolution {
@@ -1182,13 +1188,16 @@ impl Proof<'_> {
             let complaint = format!("is {:?}, which names walls of the tank: give another name", solid.name);
             problems.push(Problem::new(format!("box.{index}.name"), &complaint));
         }
+        let bodies: Vec<_> = self.case.bodies.iter().map(|body| body.name.as_str()).collect();
         for (index, probe) in self.case.probes.iter().enumerate() {
+            if let Some(body) = probe.rides_on().filter(|name| !name.is_empty() && !bodies.contains(name)) {
+                let advice = one_of(&bodies, "there is none, leave the key out");
+                let complaint = format!("is {body:?}, which is no body of this case: {advice}");
+                problems.push(Problem::new(format!("probe.{index}.body"), &complaint));
+            }
             let Probe::Force { on, .. } = probe else { continue };
             if !on.is_empty() && !solids.contains(&on.as_str()) {
-                let advice = match solids.is_empty() {
-                    true => "there is no box and no tank, leave the probe out".to_owned(),
-                    false => format!("give one of {}", solids.join(", ")),
-                };
+                let advice = one_of(&solids, "there is no box and no tank, leave the probe out");
                 let complaint = format!("is {on:?}, which is no solid of this case: {advice}");
                 problems.push(Problem::new(format!("probe.{index}.on"), &complaint));
             }
@@ -1397,7 +1406,12 @@ until = 1
         case.time.step_max = Some(f64::MIN_POSITIVE);
         case.output.snapshots = vec![0.1 + 0.2, 0.0];
         case.probes = vec![
-            Probe::Pressure { name: "p1".to_owned(), position: vec![0.0, 0.1], filter: Some(0.01) },
+            Probe::Pressure {
+                name: "p1".to_owned(),
+                position: vec![0.0, 0.1],
+                filter: Some(0.01),
+                body: case.bodies.first().map(|body| body.name.clone()),
+            },
             Probe::Force { name: "f".to_owned(), on: "pier".to_owned() },
             Probe::Height { name: "h1".to_owned(), position: vec![1.0, 0.0] },
         ];
@@ -1640,6 +1654,10 @@ kernel = \"wendland\"
             (
                 &[("probe", "[{kind = 'force', name = 'f', on = 'top'}]"), ("tank.open", "['top']")],
                 "probe.0.on is \"top\", which is no solid of this case: give one of left, right, bottom, walls",
+            ),
+            (
+                &[("probe", "[{kind = 'pressure', name = 'p', position = [0, 0], body = 'raft'}]")],
+                "probe.0.body is \"raft\", which is no body of this case: there is none, leave the key out",
             ),
             (
                 &[("probe", "[{kind = 'pressure', name = 'p', position = [0, 0], filter = -1}]")],

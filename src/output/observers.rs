@@ -106,7 +106,7 @@ impl<const D: usize> Meters<D> {
         let scene = Scene::of(simulation);
         Readings {
             history: quantities::history::<D>().map(|(_, value)| value(&scene)).to_vec(),
-            gauges: self.gauges.read(particles, &fields, holds, body_force, *time),
+            gauges: self.gauges.read(particles, scheme.bodies(), &fields, holds, body_force, *time),
             forces: self.forces.read(particles, &fields, holds, body_force),
         }
     }

@@ -12,6 +12,9 @@
 //! it stands for, and liquid does not count: its pressures ring beside a wall that stops particles one by one. A gauge whose liquid neighbours fill less than a quarter of what a flat wall leaves
 //! open is *dry*.
 //!
+//! A gauge with a **body** rides on it: it moves and turns with it, and sees of the walls those of that body's, of the liquid what is
+//! before its face.
+//!
 //! A **filter**, if asked for, is the mean of the rows within the last `filter` seconds: causal, so a signal comes out
 //! half the window late. Dry rows count as 0 in it; a gauge that is dry now says so all the same.
 //!
@@ -22,6 +25,7 @@
 
 use super::checkpoint;
 use super::table::Cell;
+use crate::bodies::{Bodies, restrict};
 use crate::case::{Probe, build::vector};
 use crate::geometry::{Lattice, Obstacles, WallCell};
 use crate::parallel::Packed;
@@ -50,9 +54,35 @@ pub struct Gauges<const D: usize> {
 struct Gauge<const D: usize> {
     at: Vector<D>,
     kind: Kind<D>,
+    rider: Option<Rider<D>>,
+}
+
+/// How a gauge sits on a body, both at the start.
+struct Rider<const D: usize> {
+    body: usize,
+    /// From the body's centre in m.
+    arm: Vector<D>,
+    /// Normal of the face; zero where it is on none.
+    outward: Vector<D>,
 }
 
 impl<const D: usize> Gauge<D> {
+    /// Goes where its body is.
+    fn ride(&mut self, bodies: &Bodies<D>) {
+        if let Some(rider) = &self.rider {
+            let body = &bodies.list[rider.body];
+            self.at = restrict::<D>(&body.state.position) + body.turned(&rider.arm);
+        }
+    }
+
+    /// Whether a body that it rides on leaves the sight of `r` free. Half a spacing is for liquid that is pressed into the face.
+    fn sees(&self, r: &Vector<D>, bodies: &Bodies<D>, spacing: f64) -> bool {
+        self.rider.as_ref().is_none_or(|rider| {
+            let outward = bodies.list[rider.body].turned(&rider.outward);
+            outward.dot(&(r - self.at)) >= -0.5 * spacing
+        })
+    }
+
     /// Wall particles in sight, with their kernel values.
     fn walls(&self) -> &[(u32, f64)] {
         match &self.kind {
@@ -105,14 +135,28 @@ impl<const D: usize> Gauges<D> {
         };
         let cells = lattice.wall_cells();
         for probe in probes {
-            let Some((at, _)) = probe.position().map(|position| lattice.follow(&vector(position))) else {
-                continue;
+            let Some(position) = probe.position().map(vector) else { continue };
+            let ridden = |name| params.bodies.list.iter().position(|body| body.name == name);
+            let body = probe.rides_on().and_then(ridden);
+            let at = match body {
+                Some(body) => lattice.follow_body(body, &position),
+                None => lattice.follow(&position).0,
             };
+            let mut rider = None;
             let kind = match probe {
-                Probe::Pressure { filter, .. } => Kind::Pressure {
-                    walls: all.walls_in_sight(&at, particles, &cells),
-                    filter: filter.map(Filter::new),
-                },
+                Probe::Pressure { filter, .. } => {
+                    let walls = match body {
+                        Some(body) => all.walls_of(body, &at, particles),
+                        None => all.walls_in_sight(&at, particles, &cells),
+                    };
+                    rider = body.map(|body| {
+                        let normal = |&(a, w): &(u32, f64)| w * particles.normal[a as usize];
+                        let outward: Vector<D> = walls.iter().map(normal).sum();
+                        let arm = at - restrict::<D>(&params.bodies.list[body].state.position);
+                        Rider { body, arm, outward: outward.try_normalize(0.0).unwrap_or_else(Vector::zeros) }
+                    });
+                    Kind::Pressure { walls, filter: filter.map(Filter::new) }
+                }
                 _ => {
                     let near = |r: &&Vector<D>| horizontal_square(&at, r) < support * support;
                     Kind::Height {
@@ -126,10 +170,24 @@ impl<const D: usize> Gauges<D> {
                     }
                 }
             };
-            all.gauges.push(Gauge { at, kind });
+            all.gauges.push(Gauge { at, kind, rider });
         }
-        all.bins = Bins::new(all.gauges.iter().map(|gauge| gauge.at[0]), support);
+        all.bins = all.bins();
         all
+    }
+
+    fn bins(&self) -> Bins {
+        Bins::new(self.gauges.iter().map(|gauge| gauge.at[0]), self.params.support())
+    }
+
+    /// Walls of a body whose outer side faces `at`, with their kernel values: they keep their distances.
+    fn walls_of(&self, body: usize, at: &Vector<D>, particles: &Particles<D>) -> Vec<(u32, f64)> {
+        let in_sight = |a: usize| {
+            let away = at - particles.position[a];
+            let is_seen = away.norm() < self.params.support() && away.dot(&particles.normal[a]) > 0.0;
+            is_seen.then(|| (a as u32, self.weight(away.norm())))
+        };
+        particles.walls().filter(|&a| self.params.bodies.of(a) == Some(body)).filter_map(in_sight).collect()
     }
 
     fn walls_in_sight(
@@ -160,17 +218,22 @@ impl<const D: usize> Gauges<D> {
     pub fn read(
         &mut self,
         particles: &Particles<D>,
+        bodies: &Bodies<D>,
         fields: &Fields<D>,
         holds: impl Fn(usize) -> bool,
         body_force: &Vector<D>,
         time: f64,
     ) -> Vec<Cell<'static>> {
         self.params.gravity = *body_force;
+        if self.gauges.iter().any(|gauge| gauge.rider.is_some()) {
+            self.gauges.iter_mut().for_each(|gauge| gauge.ride(bodies));
+            self.bins = self.bins();
+        }
         let near = self.liquid_near(particles);
         let walls = self.walls_seen(particles, fields, holds);
         let reading =
             |((gauge, near), walls): ((&Gauge<D>, &Vec<Liquid<D>>), &Vec<Wall<D>>)| match &gauge.kind {
-                Kind::Pressure { .. } => self.pressure(fields, &gauge.at, near, walls),
+                Kind::Pressure { .. } => self.pressure(fields, bodies, gauge, (near, walls)),
                 Kind::Height { solids } => self.height(&gauge.at, solids, near),
             };
         let readings: Vec<Option<f64>> = self.gauges.iter().zip(&near).zip(&walls).map(reading).collect();
@@ -246,10 +309,11 @@ impl<const D: usize> Gauges<D> {
     fn pressure(
         &self,
         fields: &Fields<D>,
-        at: &Vector<D>,
-        near: &[Liquid<D>],
-        walls: &[Wall<D>],
+        bodies: &Bodies<D>,
+        gauge: &Gauge<D>,
+        (near, walls): (&[Liquid<D>], &[Wall<D>]),
     ) -> Option<f64> {
+        let (at, spacing) = (&gauge.at, self.params.spacing);
         let (support, gradient) = (self.params.support(), self.params.density * self.params.gravity);
         let (mut weights, mut sum) = (0.0, 0.0);
         let mut add = |r: &Vector<D>, pressure: f64, w: f64| {
@@ -260,7 +324,9 @@ impl<const D: usize> Gauges<D> {
         let mut wet = 0.0;
         for liquid in near {
             let r = (at - liquid.r).norm();
-            if r < support && self.obstacles.leave_free(at, &liquid.r) {
+            let is_seen =
+                || self.obstacles.leave_free(at, &liquid.r) && gauge.sees(&liquid.r, bodies, spacing);
+            if r < support && is_seen() {
                 wet = add(&liquid.r, liquid.pressure, self.weight(r));
             }
         }
@@ -490,7 +556,7 @@ until = 1
             ..Fields::none(&neighbors)
         };
         let mut gauges = Gauges::new(&case.probes, &scene.lattice, &particles, &scene.params);
-        gauges.read(&particles, &fields, |_| true, &scene.params.gravity, 0.0)
+        gauges.read(&particles, &scene.params.bodies, &fields, |_| true, &scene.params.gravity, 0.0)
     }
 
     fn pressure(x: f64, y: f64) -> String {
@@ -519,6 +585,46 @@ until = 1
                 assert!((number(cell) - expected).abs() < 1e-6, "({x}, {y}): {cell:?} Pa, {expected} Pa");
             }
         }
+    }
+
+    #[test]
+    fn a_gauge_rides_on_a_body_that_moves_and_turns() {
+        let body = "[{name = 'crate', shape = 'box', min = [0.5, 0.2], max = [0.7, 0.36], density = 500, motion = 'free'}]";
+        let probe = "[{kind = 'pressure', name = 'p', position = [0.499, 0.281], body = 'crate'}]";
+        let sets = [("fluid.block", "[{min = [0, 0], max = [0.4, 0.2]}]"), ("body", body), ("probe", probe)];
+        let case = read::read(CASE, "bath", &sets.map(|(key, value)| (key.to_owned(), value.to_owned())));
+        let case = case.unwrap();
+        let mut scene = build::scene::<2>(&case);
+        let mut gauges = Gauges::new(&case.probes, &scene.lattice, &scene.particles, &scene.params);
+        let bodies = &mut scene.params.bodies;
+        let before = restrict::<2>(&bodies.list[0].state.position);
+        let angle = 0.4_f64;
+        bodies.list[0].state.position += crate::form::Point::new(-0.35, -0.22, 0.0);
+        bodies.list[0].state.rotation = *nalgebra::Rotation3::from_euler_angles(0.0, 0.0, angle).matrix();
+        bodies.place(&mut scene.particles, false);
+        // Of the middle of the left face, as it was snapped.
+        let arm = Vector::<2>::new(0.5, 0.281) - before;
+        let at = before + Vector::<2>::new(-0.35, -0.22) + nalgebra::Rotation2::new(angle) * arm;
+        let depth = |r: &Vector<2>| 9810.0 * (0.2 - r.y);
+        for b in 0..scene.particles.len() {
+            scene.particles.pressure[b] = depth(&scene.particles.position[b]);
+        }
+        // Liquid behind the face, in the body, tells nothing.
+        let normal = nalgebra::Rotation2::new(angle) * Vector::<2>::new(-1.0, 0.0);
+        let mut behind = 0;
+        for b in scene.particles.fluid() {
+            if normal.dot(&(scene.particles.position[b] - at)) < -0.011 {
+                scene.particles.pressure[b] = 1e6;
+                behind += usize::from((scene.particles.position[b] - at).norm() < 0.03);
+            }
+        }
+        assert!(behind > 0, "the body is in the liquid");
+        let active = vec![true; scene.particles.len()];
+        let neighbors = Neighbors::default();
+        let fields = Fields { active: &active, ..Fields::none(&neighbors) };
+        let (particles, params) = (&scene.particles, &scene.params);
+        let found = gauges.read(particles, &params.bodies, &fields, |_| true, &params.gravity, 0.0);
+        assert!((number(found[0]) - depth(&at)).abs() < 1e-6, "{found:?} Pa, {} Pa", depth(&at));
     }
 
     #[test]
@@ -562,8 +668,16 @@ until = 1
             let neighbors = Neighbors::default();
             let fields = Fields::none(&neighbors);
             let mut gauges = Gauges::new(&case.probes, &scene.lattice, &scene.particles, &scene.params);
-            let height =
-                number(gauges.read(&scene.particles, &fields, |_| true, &scene.params.gravity, 0.0)[0]);
+            let height = number(
+                gauges.read(
+                    &scene.particles,
+                    &scene.params.bodies,
+                    &fields,
+                    |_| true,
+                    &scene.params.gravity,
+                    0.0,
+                )[0],
+            );
             assert!((height / spacing - 1.0).abs() < 0.05, "{height} m at {spacing} m");
         }
     }
