@@ -19,23 +19,37 @@ pub struct Layout {
     pub solid_ghosts: Range<usize>,
     /// Whether the rows of solids list solids as well.
     pub solids_see_solids: bool,
+    /// Whether the rows of liquid keep W beside F; those of solids always do.
+    pub liquid_keeps_kernel: bool,
 }
 
 impl Layout {
     /// `solids` solids, then fluid up to `count` particles, and no ghosts.
     pub fn without_ghosts(solids: usize, count: usize) -> Self {
-        Self { solids: 0..solids, solid_ghosts: count..count, solids_see_solids: true }
+        Self { solids: 0..solids, solid_ghosts: count..count, ..Self::default() }
     }
 
     /// That of `particles`.
     pub fn of<const D: usize>(particles: &Particles<D>) -> Self {
         let (solids, solid_ghosts) = (0..particles.solids(), particles.solid_ghosts());
-        Self { solids, solid_ghosts, solids_see_solids: true }
+        Self { solids, solid_ghosts, ..Self::default() }
     }
 
     /// The same, with rows of solids that list their liquid neighbours alone.
     pub fn with_solids_blind_to_solids(self) -> Self {
         Self { solids_see_solids: false, ..self }
+    }
+
+    /// The same, with rows of liquid that keep F alone. Pairs are more than caches hold: to write W takes a tenth of a search.
+    pub fn with_liquid_without_kernel(self) -> Self {
+        Self { liquid_keeps_kernel: false, ..self }
+    }
+}
+
+impl Default for Layout {
+    /// No particles.
+    fn default() -> Self {
+        Self { solids: 0..0, solid_ghosts: 0..0, solids_see_solids: true, liquid_keeps_kernel: true }
     }
 }
 
@@ -212,7 +226,7 @@ pub struct Neighbors<const D: usize> {
 pub struct Row<'a> {
     /// Particle number of b.
     pub index: &'a [u32],
-    /// W_ab in 1/m^D.
+    /// W_ab in 1/m^D; nothing where they are not kept.
     pub kernel: &'a [f64],
     /// F_ab = (dW/dr)/r in 1/m^(D+2): grad_a W_ab = F_ab (r_a - r_b).
     pub gradient: &'a [f64],
@@ -229,6 +243,8 @@ struct Chunk {
     /// Liquid neighbours in each row.
     liquid: Vec<u32>,
     pairs: Pairs,
+    /// Whether kernel values are kept.
+    keeps_kernel: bool,
     near_liquid: Surrounding,
     near_solids: Surrounding,
 }
@@ -242,32 +258,35 @@ struct Pairs {
 }
 
 impl Pairs {
-    /// Room for a row of `count` pairs from `end` on.
-    fn reserve(&mut self, end: usize, count: usize) {
+    /// Room for a row of `count` pairs from `end` on, of kernel values too if they are kept.
+    fn reserve(&mut self, end: usize, count: usize, keeps_kernel: bool) {
         if self.index.len() < end + count {
             // By a quarter: of large scenes pairs are most of the memory, and doubling would leave half of it idle.
             let room = (end + end / 4).max(end + count);
             grow(&mut self.index, room);
-            grow(&mut self.kernel, room);
             grow(&mut self.gradient, room);
+        }
+        if keeps_kernel && self.kernel.len() < self.index.len() {
+            grow(&mut self.kernel, self.index.len());
         }
     }
 
     /// Writes the particles of `cells` around `a` that are nearer than the root of `limit` from `end` on, and the squares of
-    /// their distances in place of their kernel factors; returns the new end.
+    /// their distances in place of a kernel factor; returns the new end.
     #[inline]
     fn gather<const D: usize>(
         &mut self,
         end: usize,
         (a, r_a): (usize, &Vector<D>),
         (cells, surrounding): (&CellList<D>, &Surrounding),
-        limit: f64,
+        (limit, keeps_kernel): (f64, bool),
     ) -> usize {
         let r_a: [Lanes; D] = std::array::from_fn(|d| Lanes::splat(r_a[d]));
         let whole = |run: &Range<usize>| run.start..run.start + run.len().next_multiple_of(LANES);
         let room = surrounding.runs.iter().map(|run| whole(run).len()).sum();
-        self.reserve(end, room);
-        let (index, squares) = (&mut self.index[end..end + room], &mut self.kernel[end..end + room]);
+        self.reserve(end, room, keeps_kernel);
+        let squares = if keeps_kernel { &mut self.kernel } else { &mut self.gradient };
+        let (index, squares) = (&mut self.index[end..end + room], &mut squares[end..end + room]);
         let mut kept = 0;
         for run in &surrounding.runs {
             let numbers = cells.sorted[whole(run)].as_chunks::<LANES>().0;
@@ -285,9 +304,18 @@ impl Pairs {
 
     /// Kernel factors in place of the squares of distances.
     #[inline]
-    fn weigh<const D: usize, K: Kernel>(&mut self, pairs: Range<usize>, smoothing: &Smoothing<D, K>) {
-        for (w, f) in self.kernel[pairs.clone()].iter_mut().zip(&mut self.gradient[pairs]) {
-            (*w, *f) = smoothing.pair(w.sqrt());
+    fn weigh<const D: usize, K: Kernel>(
+        &mut self,
+        pairs: Range<usize>,
+        smoothing: &Smoothing<D, K>,
+        keeps_kernel: bool,
+    ) {
+        if keeps_kernel {
+            for (w, f) in self.kernel[pairs.clone()].iter_mut().zip(&mut self.gradient[pairs]) {
+                (*w, *f) = smoothing.pair(w.sqrt());
+            }
+        } else {
+            self.gradient[pairs].iter_mut().for_each(|f| *f = smoothing.pair(f.sqrt()).1);
         }
     }
 }
@@ -325,7 +353,7 @@ impl<const D: usize> Neighbors<D> {
     }
 
     /// Rows for the particles `a` whose kernel sum over fluid neighbours, sum_b W_ab in 1/m^D, is at least
-    /// `threshold(a)`; the others get empty rows. An infinite threshold skips the particle altogether.
+    /// `threshold(a)`, positive only where W is kept; the others get empty rows. An infinite threshold skips the particle altogether.
     /// Solids have a cell list of their own, so that walls far from the liquid cost next to nothing.
     pub fn update<K: Kernel>(
         &mut self,
@@ -335,7 +363,7 @@ impl<const D: usize> Neighbors<D> {
         support: f64,
         threshold: impl Fn(usize) -> f64 + Sync,
     ) {
-        let Layout { solids, solid_ghosts, solids_see_solids } = layout.clone();
+        let Layout { solids, solid_ghosts, solids_see_solids, liquid_keeps_kernel } = layout.clone();
         let (count, first_fluid) = (solid_ghosts.start, solids.end);
         let fluid = (first_fluid..count).chain(solid_ghosts.end..position.len());
         // Where solids see liquid alone, those beyond a support of it need not be looked at.
@@ -361,20 +389,24 @@ impl<const D: usize> Neighbors<D> {
             (chunk.near_liquid.cell, chunk.near_solids.cell) = (None, None);
             let mut end = 0;
             let rows = c * CHUNK..((c + 1) * CHUNK).min(count);
+            chunk.keeps_kernel = liquid_keeps_kernel || rows.start < first_fluid;
+            let keeps = chunk.keeps_kernel;
             for (a, r_a) in rows.clone().zip(&position[rows]) {
                 let (least, before) = (threshold(a), end);
                 let mut liquid = 0;
                 if least < f64::INFINITY && is_inside(r_a) {
                     chunk.near_liquid.find(fluid_cells, r_a);
-                    end = chunk.pairs.gather(end, (a, r_a), (fluid_cells, &chunk.near_liquid), limit);
-                    chunk.pairs.weigh(before..end, smoothing);
+                    let near = (fluid_cells, &chunk.near_liquid);
+                    end = chunk.pairs.gather(end, (a, r_a), near, (limit, keeps));
+                    chunk.pairs.weigh(before..end, smoothing, keeps);
                     liquid = end - before;
                     if least > 0.0 && chunk.pairs.kernel[before..end].iter().sum::<f64>() < least {
                         (end, liquid) = (before, 0);
                     } else if solids_see_solids || a >= first_fluid {
                         chunk.near_solids.find(solid_cells, r_a);
-                        end = chunk.pairs.gather(end, (a, r_a), (solid_cells, &chunk.near_solids), limit);
-                        chunk.pairs.weigh(before + liquid..end, smoothing);
+                        let near = (solid_cells, &chunk.near_solids);
+                        end = chunk.pairs.gather(end, (a, r_a), near, (limit, keeps));
+                        chunk.pairs.weigh(before + liquid..end, smoothing, keeps);
                     }
                 }
                 chunk.start.push(end);
@@ -390,7 +422,7 @@ impl<const D: usize> Neighbors<D> {
         let range = chunk.start[k]..chunk.start[k + 1];
         Row {
             index: &chunk.pairs.index[range.clone()],
-            kernel: &chunk.pairs.kernel[range.clone()],
+            kernel: if chunk.keeps_kernel { &chunk.pairs.kernel[range.clone()] } else { &[] },
             gradient: &chunk.pairs.gradient[range],
             liquid: chunk.liquid[k] as usize,
         }
@@ -430,7 +462,7 @@ impl<'a> Row<'a> {
     pub fn split(self) -> (Self, Self) {
         let part = |range: Range<usize>, liquid: usize| Self {
             index: &self.index[range.clone()],
-            kernel: &self.kernel[range.clone()],
+            kernel: self.kernel.get(range.clone()).unwrap_or(&[]),
             gradient: &self.gradient[range],
             liquid,
         };
@@ -443,10 +475,16 @@ impl<'a> Row<'a> {
         Blocks { index: self.index, gradient: self.gradient }
     }
 
-    /// (b, W_ab, F_ab) of each neighbour.
+    /// (b, W_ab, F_ab) of each neighbour; W is not a number where it is not kept.
     #[inline]
     pub fn iter(self) -> impl Iterator<Item = (usize, f64, f64)> + 'a {
-        self.index.iter().zip(self.kernel).zip(self.gradient).map(|((&b, &w), &f)| (b as usize, w, f))
+        // One loop for both: what is not kept is made of F.
+        let (kernel, known) = match self.kernel {
+            [] => (self.gradient, f64::NAN),
+            kernel => (kernel, 1.0),
+        };
+        let pairs = self.index.iter().zip(kernel).zip(self.gradient);
+        pairs.map(move |((&b, &w), &f)| (b as usize, known * w, f))
     }
 }
 
@@ -509,6 +547,7 @@ mod tests {
             let layout = Layout::without_ghosts(solids, position.len());
             neighbors.update(position, &layout, &smoothing, support, threshold);
             for a in 0..position.len() {
+                assert_eq!(neighbors.row(a).kernel.len(), neighbors.row(a).index.len());
                 let mut found = neighbors.row(a).index.to_vec();
                 found.sort_unstable();
                 let expected = if a % 5 == 3 { vec![] } else { naive(position, a, support) };
@@ -523,6 +562,34 @@ mod tests {
         agrees_with_naive(&scatter::<3>(1200), 0.21);
         agrees_with_naive::<2>(&[], 0.1);
         agrees_with_naive(&[Vector::<2>::new(3.0, 4.0)], 0.1);
+    }
+
+    #[test]
+    fn rows_without_kernel_values_are_the_same_otherwise() {
+        let (position, support) = (scatter::<3>(1200), 0.21);
+        let smoothing = Smoothing::<3, WendlandC2>::new(support / 2.0);
+        let with = Layout::without_ghosts(300, position.len()).with_solids_blind_to_solids();
+        let [full, bare] = [with.clone(), with.with_liquid_without_kernel()].map(|layout| {
+            let mut neighbors = Neighbors::default();
+            // Over the buffers of a search that kept all.
+            neighbors.update(
+                &position,
+                &Layout::without_ghosts(0, position.len()),
+                &smoothing,
+                support,
+                |_| 0.0,
+            );
+            neighbors.update(&position, &layout, &smoothing, support, |_| 0.0);
+            neighbors
+        });
+        for a in 0..position.len() {
+            let (full, bare) = (full.row(a), bare.row(a));
+            assert_eq!((full.index, full.gradient, full.liquid), (bare.index, bare.gradient, bare.liquid));
+            // Solids share a chunk with the first of the liquid.
+            let expected = if a < CHUNK { full.kernel } else { &[] };
+            assert_eq!(bare.kernel, expected);
+            assert!(a < CHUNK || bare.iter().all(|(_, w, _)| w.is_nan()));
+        }
     }
 
     #[test]

@@ -87,14 +87,14 @@ impl<'a, const D: usize> Surroundings<'a, D> {
         self.active(a).map(|(b, r_ab, vf)| (vf * (field[b] + q_a)) * r_ab).sum()
     }
 
-    /// Kernel mean of q_a - q_b - r_ab . grad q with the exact gradient: how far q_a is from a plane through its neighbours. `None` where the
-    /// support has no exact gradient.
+    /// Mean, weighted by -F, of q_a - q_b - r_ab . grad q with the exact gradient: how far q_a is from a plane through its neighbours. `None`
+    /// where the support has no exact gradient.
     pub fn distance_from_plane(&self, a: usize, field: &[f64], moments: &Moments<D>) -> Option<f64> {
         let gradient = moments.correction()? * self.difference_gradient(a, field);
         let (q_a, r_a) = (field[a], self.position[a]);
         let row = self.neighbors.row(a).iter().filter(|(b, ..)| self.active[*b]);
-        let (sum, weights) = row.fold((0.0, 0.0), |(sum, weights), (b, w, _)| {
-            (sum + w * (q_a - field[b] - gradient.dot(&(r_a - self.position[b]))), weights + w)
+        let (sum, weights) = row.fold((0.0, 0.0), |(sum, weights), (b, _, f)| {
+            (sum - f * (q_a - field[b] - gradient.dot(&(r_a - self.position[b]))), weights - f)
         });
         Some(sum / weights)
     }
@@ -118,7 +118,7 @@ impl<'a, const D: usize> Surroundings<'a, D> {
 /// Sums over a particle's support that carry no field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moments<const D: usize> {
-    /// sum V W over active neighbours, without the particle itself.
+    /// sum V W over active neighbours, without the particle itself; not a number where rows keep no W.
     pub kernel_sum: f64,
     /// Support defect S = sum V grad W over active neighbours, in 1/m; also the gradient of their concentration.
     pub defect: Vector<D>,

@@ -318,7 +318,10 @@ impl<const D: usize> Wcsph<D> {
             _ => f64::INFINITY,
         };
         let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
-        let layout = Layout::of(particles).with_solids_blind_to_solids();
+        let mut layout = Layout::of(particles).with_solids_blind_to_solids();
+        if self.method.velocity_smoothing == 0.0 {
+            layout = layout.with_liquid_without_kernel();
+        }
         self.neighbors.search(kernel, h, &particles.position, &layout, threshold);
         self.beside_liquid.clear();
         let is_beside = |w: usize| !self.neighbors.row(w).index.is_empty();
