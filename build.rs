@@ -34,7 +34,7 @@ mod petsc {
         "PetscObjectCompose",
         "PetscViewer(Create|SetType|FileSetMode|FileSetName|BinarySetSkipInfo|Destroy)",
         "Vec(Create|SetSizes|SetType|GetSize|GetArray|RestoreArray|GetArrayRead|RestoreArrayRead|Set|Norm|Copy|AYPX|Scale|View|Destroy)",
-        "Mat(CreateSeqAIJWithArrays|CreateMPIAIJWithSplitArrays|GetSize|GetInfo|Mult|Norm|Transpose|IsSymmetric|View|Destroy)",
+        "Mat(CreateSeqAIJWithArrays|CreateMPIAIJWithSplitArrays|GetSize|GetInfo|Mult|Norm|Transpose|IsSymmetric|MPIAIJGetSeqAIJ|View|Destroy)",
         "Mat(SetNullSpace|SetTransposeNullSpace|NullSpaceCreate|NullSpaceRemove|NullSpaceDestroy)",
         "KSP(InitializePackage|Create|Destroy|SetOptionsPrefix|SetType|GetType|GetPC|SetOperators|SetFromOptions|SetUp|Solve)",
         "KSP(SetTolerances|GetTolerances|SetPCSide|SetNormType|SetInitialGuessNonzero|GMRESSetRestart)",

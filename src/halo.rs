@@ -199,7 +199,10 @@ impl<const D: usize> Halo<D> {
         let traffic = parallel::traffic();
         let counts = [tally.own, tally.ghosts, tally.handed_over, traffic.sent].map(|count| count as f64);
         let [own, ghosts, handed_over, sent] = self.ranks.sums(&counts)[..] else { return None };
-        let uneven = |local: f64| self.ranks.max(local) * self.ranks.count() as f64 / self.ranks.sum(local);
+        let uneven = |local: f64| {
+            let (most, all) = (self.ranks.max(local), self.ranks.sum(local));
+            if all > 0.0 { most * self.ranks.count() as f64 / all } else { 1.0 }
+        };
         Some(Sharing {
             ranks: self.ranks.count(),
             imbalance: uneven(tally.work),

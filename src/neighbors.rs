@@ -1,5 +1,5 @@
-//! Neighbour search: a cell list with particles sorted by cell, and from it rows of neighbours (CSR) with the two
-//! kernel factors of each pair.
+//! Neighbour search: a cell list with particles sorted by cell, and from it rows of neighbours (CSR) with the
+//! kernel factors of each pair: F, and W where it is asked for.
 //!
 //! A pair (a, b) is listed in row a if 0 < |r_a - r_b| < support. Each row holds its liquid neighbours, then its solid
 //! ones, both in cell order; the result does not depend on the number of threads.
@@ -108,7 +108,7 @@ impl<const D: usize> Grid<D> {
     /// Covers the box from `min` to `max` of `count` particles, with cells of a `support` across and a slice of it along the last axis.
     /// Narrower ones would leave fewer candidates, but runs so short that starting each costs more than it saves. Cells are doubled
     /// until there are at most four a particle: a few particles far away must not cost memory. Whatever the box, cells begin at
-    /// multiples of their width, so that all searches find particles in one order.
+    /// multiples of their width, so that, but for doubled ones, all searches find particles in one order.
     fn covering((mut min, mut max): Extent<D>, count: usize, support: f64) -> Self {
         if (0..D).any(|d| max[d] < min[d]) {
             (min, max) = (Vector::zeros(), Vector::zeros());
@@ -452,9 +452,9 @@ impl<const D: usize> Neighbors<D> {
 }
 
 impl<'a> Row<'a> {
-    /// sum_b W_ab in 1/m^D.
+    /// sum_b W_ab in 1/m^D; not a number where W is not kept.
     pub fn kernel_sum(self) -> f64 {
-        self.kernel.iter().sum()
+        if self.kernel.len() == self.index.len() { self.kernel.iter().sum() } else { f64::NAN }
     }
 
     /// The liquid neighbours, which come first, and the solid ones.

@@ -110,7 +110,7 @@ struct Wall<const D: usize> {
     push: f64,
 }
 
-/// Solids stay where they are: what a gauge needs of them is found once.
+/// Solids keep their distances from a gauge, on which it rides if they move: what it needs of them is found once.
 enum Kind<const D: usize> {
     Pressure {
         /// Wall particles in sight, with their kernel values.

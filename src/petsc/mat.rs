@@ -35,14 +35,11 @@ impl Matrix {
         // SAFETY: both numbers outlive the call; it only adds up `local` over the ranks.
         check(unsafe { ffi::PetscSplitOwnership(session.comm(), &raw mut local, &raw mut global) })?;
         check_rows(start, column, value, global)?;
-        // Declared after the lists, the matrix goes before them if it does not come to own them.
-        let mut lists: Box<[Lists]>;
         let mut matrix = Self { raw: ptr::null_mut(), session: Rc::clone(session) };
         if session.size() == 1 {
-            lists =
-                Box::new([Lists { start: start.to_vec(), column: column.to_vec(), value: value.to_vec() }]);
-            let (start, column, value) = lists[0].pointers();
-            // SAFETY: the lists were checked above and live as long as the matrix.
+            let mut lists = Lists { start: start.to_vec(), column: column.to_vec(), value: value.to_vec() };
+            let (start, column, value) = lists.pointers();
+            // SAFETY: the lists were checked above and are left to the matrix below; to destroy one reads none of them.
             check(unsafe {
                 ffi::MatCreateSeqAIJWithArrays(
                     session.comm(),
@@ -54,11 +51,13 @@ impl Matrix {
                     &raw mut matrix.raw,
                 )
             })?;
+            // SAFETY: a live matrix, which borrows them.
+            unsafe { leave(lists, matrix.raw) }?;
         } else {
             let first = session.before(local);
-            lists = Box::new(split(first..first + local, start, column, value));
-            let (own, others) = (lists[0].pointers(), lists[1].pointers());
-            // SAFETY: both halves are sound since the lists are, and live as long as the matrix, which renumbers the columns of
+            let [mut own_lists, mut others_lists] = split(first..first + local, start, column, value);
+            let (own, others) = (own_lists.pointers(), others_lists.pointers());
+            // SAFETY: both halves are sound since the lists are, and are left to the matrix below, which renumbers the columns of
             // others in place.
             check(unsafe {
                 ffi::MatCreateMPIAIJWithSplitArrays(
@@ -76,26 +75,16 @@ impl Matrix {
                     &raw mut matrix.raw,
                 )
             })?;
+            let (mut block, mut rest) = (ptr::null_mut(), ptr::null_mut());
+            // SAFETY: the two blocks of a live matrix, each of which borrows its lists. Other objects, as the solver of a block, may hold
+            // a block longer than the matrix.
+            unsafe {
+                check(ffi::MatMPIAIJGetSeqAIJ(matrix.raw, &raw mut block, &raw mut rest, ptr::null_mut()))?;
+                leave(own_lists, block)?;
+                leave(others_lists, rest)?;
+            }
         }
-        matrix.keep(lists)?;
         Ok(matrix)
-    }
-
-    /// Leaves the lists that the matrix borrows to PETSc, which frees them when the last of its objects lets go of the matrix.
-    fn keep(&mut self, lists: Box<[Lists]>) -> Result<()> {
-        let mut container = ptr::null_mut();
-        // SAFETY: a new container, on the communicator of the matrix.
-        check(unsafe { ffi::PetscContainerCreate(self.session.comm(), &raw mut container) })?;
-        // A thin pointer for C, to what no longer moves.
-        let lists = Box::into_raw(Box::new(lists));
-        // SAFETY: live objects; the container passes `lists` to `free`, once, and the matrix takes its own reference of it. The lists
-        // themselves, which `lists` points to, stay where they are.
-        unsafe {
-            check(ffi::PetscContainerSetPointer(container, lists.cast()))?;
-            check(ffi::PetscContainerSetUserDestroy(container, Some(free)))?;
-            check(ffi::PetscObjectCompose(self.raw.cast(), c"lists".as_ptr(), container.cast()))?;
-            check(ffi::PetscContainerDestroy(&raw mut container))
-        }
     }
 
     /// Rows over all ranks.
@@ -194,10 +183,29 @@ impl Lists {
     }
 }
 
-/// Frees what [`Matrix::keep`] left to PETSc.
+/// Leaves `lists` to PETSc, which frees them when the last of its objects lets go of the `matrix` that borrows them.
+///
+/// # Safety
+/// `matrix` is a live matrix of one rank.
+unsafe fn leave(lists: Lists, matrix: ffi::Mat) -> Result<()> {
+    let mut container = ptr::null_mut();
+    // SAFETY: a new container of this rank alone.
+    check(unsafe { ffi::PetscContainerCreate(mpi::ffi::RSMPI_COMM_SELF, &raw mut container) })?;
+    // The vectors' contents, which the matrix borrows, stay where they are.
+    let lists = Box::into_raw(Box::new(lists));
+    // SAFETY: live objects; the container passes `lists` to `free`, once, and the matrix takes its own reference of it.
+    unsafe {
+        check(ffi::PetscContainerSetPointer(container, lists.cast()))?;
+        check(ffi::PetscContainerSetUserDestroy(container, Some(free)))?;
+        check(ffi::PetscObjectCompose(matrix.cast(), c"lists".as_ptr(), container.cast()))?;
+        check(ffi::PetscContainerDestroy(&raw mut container))
+    }
+}
+
+/// Frees what [`leave`] left to PETSc.
 unsafe extern "C" fn free(lists: *mut c_void) -> ffi::PetscErrorCode {
     // SAFETY: the pointer came from `Box::into_raw` of this type, and PETSc calls this once.
-    drop(unsafe { Box::from_raw(lists.cast::<Box<[Lists]>>()) });
+    drop(unsafe { Box::from_raw(lists.cast::<Lists>()) });
     0
 }
 

@@ -471,11 +471,12 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         });
         let solved =
             watch.time("solve", || predicted.and_then(|()| self.solver.solve(&mut self.assembler.system)));
-        if let Ok(record) = &solved {
-            let rows = self.assembler.particle_of.len() * self.params.ranks.count();
-            watch.was_shared(rows as f64 / record.unknowns.max(1) as f64);
-        }
+        // Where PETSc works all ranks wait for each other: what each did goes by its rows.
+        let rows = (self.assembler.particle_of.len() * self.params.ranks.count()) as f64;
+        let share = solved.as_ref().map_or(1.0, |record| rows / record.unknowns.max(1) as f64);
+        watch.was_shared(share);
         let solved = watch.time("bodies", || solved.and_then(|record| self.couple(particles, dt, record)));
+        watch.was_shared(share);
         watch.time("correct", || {
             if solved.is_ok() {
                 report.clipped = self.take_pressure(particles);

@@ -396,7 +396,7 @@ impl Stages {
         self.work += (share - 1.0) * self.last.as_secs_f64();
     }
 
-    /// What this rank has worked since the last call, in s: the time of all stages but for waiting.
+    /// What this rank has worked since the last call, in s: the time of all stages, but for waiting outside PETSc.
     pub fn take_work(&mut self) -> f64 {
         std::mem::take(&mut self.work)
     }
