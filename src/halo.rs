@@ -87,6 +87,8 @@ pub struct Halo<const D: usize> {
 #[derive(Debug, Clone)]
 struct Peers<const D: usize> {
     slabs: Slabs,
+    /// Whether they belong to other liquid, or to none.
+    are_of_old: bool,
     /// Renewals since the last look at the balance.
     age: usize,
     /// What this rank has worked since then, in s.
@@ -164,6 +166,7 @@ impl<const D: usize> Halo<D> {
         let nobody = vec![vec![]; ranks.count()];
         let peers = Peers {
             slabs: Slabs::default(),
+            are_of_old: true,
             age: BALANCE_EVERY,
             work: 0.0,
             holds: vec![],
@@ -197,22 +200,26 @@ impl<const D: usize> Halo<D> {
     pub fn sharing(&self) -> Option<Sharing> {
         let tally = self.peers.as_ref()?.tally;
         let traffic = parallel::traffic();
-        let counts = [tally.own, tally.ghosts, tally.handed_over, traffic.sent].map(|count| count as f64);
-        let [own, ghosts, handed_over, sent] = self.ranks.sums(&counts)[..] else { return None };
-        let uneven = |local: f64| {
-            let (most, all) = (self.ranks.max(local), self.ranks.sum(local));
+        let [own, ghosts, handed_over, sent] =
+            [tally.own, tally.ghosts, tally.handed_over, traffic.sent].map(|count| count as f64);
+        let locals = [own, ghosts, handed_over, sent, tally.work, traffic.waited.as_secs_f64()];
+        let [all, ghosts, handed_over, sent, work, waited] = self.ranks.sums(&locals)[..] else {
+            return None;
+        };
+        let uneven = |local: f64, all: f64| {
+            let most = self.ranks.max(local);
             if all > 0.0 { most * self.ranks.count() as f64 / all } else { 1.0 }
         };
         Some(Sharing {
             ranks: self.ranks.count(),
-            imbalance: uneven(tally.work),
-            fullest: uneven(tally.own as f64),
-            ghosts_per_particle: ghosts / own.max(1.0),
+            imbalance: uneven(tally.work, work),
+            fullest: uneven(own, all),
+            ghosts_per_particle: ghosts / all.max(1.0),
             handed_over: handed_over as usize,
             cuts: tally.cuts,
             calls: traffic.calls,
             sent_bytes: size_of::<f64>() as f64 * sent,
-            waited_s: self.ranks.sum(traffic.waited.as_secs_f64()) / self.ranks.count() as f64,
+            waited_s: waited / self.ranks.count() as f64,
         })
     }
 
@@ -221,6 +228,13 @@ impl<const D: usize> Halo<D> {
         if let Some(peers) = &mut self.peers {
             peers.work += work;
             peers.tally.work += work;
+        }
+    }
+
+    /// Has slabs cut anew by particles alone: the liquid is not what it was.
+    pub fn forget_slabs(&mut self) {
+        if let Some(peers) = &mut self.peers {
+            (peers.are_of_old, peers.age, peers.work) = (true, BALANCE_EVERY, 0.0);
         }
     }
 
@@ -262,13 +276,13 @@ impl<const D: usize> Halo<D> {
         if peers.age > BALANCE_EVERY {
             peers.age = 0;
             let x = particles.position[particles.fluid()].iter().map(|r| r[0]);
+            let (measured, count) = (std::mem::take(&mut peers.work), x.len() as f64);
+            let [total, liquid] = self.ranks.sums(&[measured, count])[..] else { return };
             // Before the first step each particle counts the same.
-            let is_known = self.ranks.sum(peers.work) > 0.0;
-            let work = if is_known { std::mem::take(&mut peers.work) } else { x.len() as f64 };
-            if peers.holds.is_empty() || Slabs::are_uneven(&self.ranks, work) {
-                let [total, liquid] = self.ranks.sums(&[work, x.len() as f64])[..] else { return };
+            let (work, total) = if total > 0.0 { (measured, total) } else { (count, liquid) };
+            if std::mem::take(&mut peers.are_of_old) || Slabs::are_uneven(&self.ranks, work, total) {
                 // Half way to what was measured: clocks are noisy, and the next look is near.
-                let each = 0.5 * (work / x.len().max(1) as f64 + total / liquid.max(1.0));
+                let each = 0.5 * (work / count.max(1.0) + total / liquid.max(1.0));
                 peers.slabs = Slabs::balanced(&self.ranks, x, each, 0.25 * self.reach);
                 peers.tally.cuts += 1;
                 are_stale = true;

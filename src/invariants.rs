@@ -20,13 +20,16 @@
 //!
 //! Values that are not finite and speeds out of reach are found in every step by [`crate::simulation`], as are particles behind walls.
 
+use crate::neighbors::{Layout, Neighbors};
 use crate::operators::Surroundings;
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Compressibility, Params, Scheme};
 use crate::{Error, Result};
 
-/// Steps between two looks at volume, density and divergence: they take a pass over all pairs, a tenth of a step.
+/// Steps between two looks at volume, density and divergence: they take a search and a pass over all pairs, half a step of `wcsph`.
 pub const SAMPLE: u64 = 50;
+/// Parts that the liquid is looked at in, since all its rows at once would be as much memory as the scheme's own.
+const PARTS: usize = 8;
 
 /// Rises of the energy over E at which a run warns and stops.
 const ENERGY: [f64; 2] = [0.05, 1.0];
@@ -198,33 +201,41 @@ impl<const D: usize> Invariants<D> {
     /// Volume, density, divergence and roughness of the liquid's inside.
     fn sample(&mut self, particles: &Particles<D>, scheme: &dyn Scheme<D>) {
         let (fields, params) = (scheme.fields(), scheme.params());
-        let surroundings = Surroundings {
-            position: &particles.position,
-            neighbors: fields.neighbors,
-            active: fields.active,
-            volume: params.volume(),
-        };
         let (mut count, mut volume, mut square) = (0.0, 0.0, 0.0);
         let (mut rough, mut pressure) = (0.0, 0.0);
         let mut density = 0.0_f64;
-        for a in particles.fluid() {
-            if fields.surface.get(a).is_none_or(|s| *s > 0.0)
-                || fields.crowding.get(a).is_none_or(|c| *c <= 0.0)
-            {
-                continue;
+        let is_inside = |a: usize| {
+            fields.surface.get(a).is_some_and(|s| *s <= 0.0)
+                && fields.crowding.get(a).is_some_and(|c| *c > 0.0)
+        };
+        let (layout, fluid) = (Layout::of(particles), particles.fluid());
+        let mut neighbors = Neighbors::default();
+        for part in fluid.clone().step_by(fluid.len().div_ceil(PARTS).max(1)) {
+            let part = part..(part + fluid.len().div_ceil(PARTS)).min(fluid.end);
+            let wanted =
+                |a| if part.contains(&a) && is_inside(a) { f64::NEG_INFINITY } else { f64::INFINITY };
+            let (kernel, h) = (params.kernel, params.smoothing_length());
+            neighbors.search(kernel, h, &particles.position, &layout, wanted);
+            let surroundings = Surroundings {
+                position: &particles.position,
+                neighbors: &neighbors,
+                active: fields.active,
+                volume: params.volume(),
+            };
+            for a in part.clone().filter(|a| is_inside(*a)) {
+                let moments = surroundings.moments(a);
+                let divergence = surroundings.divergence(a, &particles.velocity, &moments);
+                if !neighbors.has_solids(a)
+                    && let Some(distance) = surroundings.distance_from_plane(a, &particles.pressure, &moments)
+                {
+                    rough += distance * distance;
+                    pressure += particles.pressure[a].powi(2);
+                }
+                count += 1.0;
+                volume += 1.0 / fields.crowding[a];
+                square += divergence * divergence;
+                density = density.max((fields.crowding[a] - 1.0).abs());
             }
-            let moments = surroundings.moments(a);
-            let divergence = surroundings.divergence(a, &particles.velocity, &moments);
-            if !fields.neighbors.has_solids(a)
-                && let Some(distance) = surroundings.distance_from_plane(a, &particles.pressure, &moments)
-            {
-                rough += distance * distance;
-                pressure += particles.pressure[a].powi(2);
-            }
-            count += 1.0;
-            volume += 1.0 / fields.crowding[a];
-            square += divergence * divergence;
-            density = density.max((fields.crowding[a] - 1.0).abs());
         }
         let sums = params.ranks.sums(&[count, volume, square, rough, pressure]);
         let &[count, volume, square, rough, pressure] = &sums[..] else { return };

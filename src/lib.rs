@@ -32,8 +32,8 @@
 //! - [`error`]: what goes wrong, and the exit code of each kind; [`memory`]: what a process takes
 //! - [`kernel`]: smoothing kernels and what they sum to on a lattice
 //! - `petsc`: the only unsafe code, a thin fence around PETSc (feature `petsc`)
-//! - [`particles`], [`form`], [`geometry`], [`parallel`], [`halo`], [`neighbors`], [`simd`]: arrays, forms of bodies, scenes
-//!   on a lattice, ranks, ghosts, who is near whom, four pairs at a time
+//! - [`particles`], [`form`], [`geometry`], [`parallel`], [`halo`], [`neighbors`], [`pair_sums`], [`simd`]: arrays, forms of bodies, scenes
+//!   on a lattice, ranks, ghosts, who is near whom, pairs taken once, four pairs at a time
 //! - [`operators`]: density, divergence, gradients, Laplacians; [`terms`]: viscosity, state equation, density diffusion, surface,
 //!   shifting, collisions
 //! - [`boundary`]: walls of dummy particles, wall pressure from the liquid, repulsive walls
@@ -68,6 +68,7 @@ pub mod neighbors;
 pub mod operators;
 pub mod output;
 pub mod page;
+pub mod pair_sums;
 pub mod parallel;
 pub mod particles;
 pub mod patch_test;

@@ -1,8 +1,9 @@
 //! Neighbour search: a cell list with particles sorted by cell, and from it rows of neighbours (CSR) with the
 //! kernel factors of each pair: F, and W where it is asked for.
 //!
-//! A pair (a, b) is listed in row a if 0 < |r_a - r_b| < support. Each row holds its liquid neighbours, then its solid
-//! ones, both in cell order; the result does not depend on the number of threads.
+//! A pair (a, b) is listed in row a if 0 < |r_a - r_b| < support, and in row b unless pairs of liquid are asked for once
+//! ([`crate::pair_sums`]). Each row holds its liquid neighbours, ghosts behind the others, then its solid ones, each in cell order;
+//! the result does not depend on the number of threads.
 
 use crate::kernel::{CubicSpline, Kernel, KernelKind, Quintic, Smoothing, WendlandC2};
 use crate::particles::{Particles, Vector};
@@ -19,8 +20,9 @@ pub struct Layout {
     pub solid_ghosts: Range<usize>,
     /// Whether the rows of solids list solids as well.
     pub solids_see_solids: bool,
-    /// Whether the rows of liquid keep W beside F; those of solids always do.
-    pub liquid_keeps_kernel: bool,
+    /// Whether pairs of liquid are listed once, in the row of the one that is first in cell order, and without W. Ghosts are listed in all
+    /// rows.
+    pub liquid_once: bool,
 }
 
 impl Layout {
@@ -40,16 +42,17 @@ impl Layout {
         Self { solids_see_solids: false, ..self }
     }
 
-    /// The same, with rows of liquid that keep F alone. Pairs are more than caches hold: to write W takes a tenth of a search.
-    pub fn with_liquid_without_kernel(self) -> Self {
-        Self { liquid_keeps_kernel: false, ..self }
+    /// The same, with pairs of liquid listed once and without W. Pairs are more than caches hold: to find, write and read half of them
+    /// takes little more than half the time.
+    pub fn with_liquid_once(self) -> Self {
+        Self { liquid_once: true, ..self }
     }
 }
 
 impl Default for Layout {
     /// No particles.
     fn default() -> Self {
-        Self { solids: 0..0, solid_ghosts: 0..0, solids_see_solids: true, liquid_keeps_kernel: true }
+        Self { solids: 0..0, solid_ghosts: 0..0, solids_see_solids: true, liquid_once: false }
     }
 }
 
@@ -62,7 +65,8 @@ pub struct CellList<const D: usize> {
     sorted: Vec<u32>,
     /// Their positions in the same order, an axis each.
     position: Axes<D>,
-    cell_of: Vec<u32>,
+    /// Of each member, in the order of their numbers, its place in `sorted`; while sorting, its cell.
+    place: Vec<u32>,
 }
 
 /// Positions, an array an axis: distances to a run of them are computed several at a time.
@@ -113,19 +117,21 @@ impl<const D: usize> Grid<D> {
         if (0..D).any(|d| max[d] < min[d]) {
             (min, max) = (Vector::zeros(), Vector::zeros());
         }
-        let cells = |d: usize, width: f64| ((max[d] - min[d]) / width).floor() + 1.0;
+        let low = |d: usize, width: f64| width * (min[d] / width).floor();
+        let cells = |d: usize, width: f64| ((max[d] - low(d, width)) / width).floor() + 1.0;
         let mut reach = [1; D];
         reach[D - 1] = SLICES;
         let mut width = reach.map(|reach| support / reach as f64);
-        let all_cells = |width: &[f64; D]| (0..D).map(|d| cells(d, width[d])).product::<f64>();
-        while all_cells(&width) > 4.0 * count as f64 + 64.0 {
+        while (0..D).map(|d| cells(d, width[d])).product::<f64>() > 4.0 * count as f64 + 64.0 {
             width = width.map(|width| 2.0 * width);
             reach = reach.map(|reach| reach.div_ceil(2));
         }
-        let min = Vector::from_fn(|d, _| width[d] * (min[d] / width[d]).floor());
-        let cells = |d: usize, width: f64| ((max[d] - min[d]) / width).floor() + 1.0;
-        let extent = std::array::from_fn(|d| (cells(d, width[d]) as usize).max(1));
-        Self { min, inverse_width: width.map(f64::recip), extent, reach }
+        Self {
+            min: Vector::from_fn(|d, _| low(d, width[d])),
+            inverse_width: width.map(f64::recip),
+            extent: std::array::from_fn(|d| (cells(d, width[d]) as usize).max(1)),
+            reach,
+        }
     }
 
     fn coordinates(&self, r: &Vector<D>) -> [usize; D] {
@@ -144,28 +150,30 @@ impl<const D: usize> CellList<D> {
     fn sort(&mut self, grid: &Grid<D>, members: impl Iterator<Item = usize> + Clone, position: &[Vector<D>]) {
         self.grid = *grid;
         let cells = grid.extent.iter().product::<usize>();
-        self.cell_of.clear();
-        self.cell_of.extend(members.clone().map(|a| grid.cell(&position[a])));
+        self.place.clear();
+        self.place.extend(members.clone().map(|a| grid.cell(&position[a])));
         self.start.clear();
         self.start.resize(cells + 1, 0);
-        for &c in &self.cell_of {
+        for &c in &self.place {
             self.start[c as usize + 1] += 1;
         }
         for c in 0..cells {
             self.start[c + 1] += self.start[c];
         }
         self.sorted.clear();
-        self.sorted.resize(self.cell_of.len() + LANES, 0);
-        for (a, &c) in members.zip(&self.cell_of) {
-            // start[c] walks through its cell and ends at the next cell's start: shifted back below.
-            self.sorted[self.start[c as usize] as usize] = a as u32;
-            self.start[c as usize] += 1;
+        self.sorted.resize(self.place.len() + LANES, 0);
+        for (a, place) in members.zip(&mut self.place) {
+            // The start of a cell walks through it and ends at the next cell's: shifted back below.
+            let start = &mut self.start[*place as usize];
+            self.sorted[*start as usize] = a as u32;
+            *place = *start;
+            *start += 1;
         }
         self.start.copy_within(0..cells, 1);
         self.start[0] = 0;
         for (d, axis) in self.position.0.iter_mut().enumerate() {
             axis.clear();
-            axis.extend(self.sorted[..self.cell_of.len()].iter().map(|&a| position[a as usize][d]));
+            axis.extend(self.sorted[..self.place.len()].iter().map(|&a| position[a as usize][d]));
             axis.resize(self.sorted.len(), 0.0);
         }
     }
@@ -219,6 +227,8 @@ pub struct Neighbors<const D: usize> {
     chunks: Vec<Chunk>,
     solid_cells: CellList<D>,
     fluid_cells: CellList<D>,
+    /// Ghosts of fluid.
+    ghost_cells: CellList<D>,
 }
 
 /// One row: parallel slices over the neighbours b of a particle a.
@@ -245,7 +255,10 @@ struct Chunk {
     pairs: Pairs,
     /// Whether kernel values are kept.
     keeps_kernel: bool,
+    /// The fluid that has rows here, and the fluid in them but for ghosts.
+    span: Range<usize>,
     near_liquid: Surrounding,
+    near_ghosts: Surrounding,
     near_solids: Surrounding,
 }
 
@@ -271,26 +284,44 @@ impl Pairs {
         }
     }
 
-    /// Writes the particles of `cells` around `a` that are nearer than the root of `limit` from `end` on, and the squares of
+    /// Appends the particles of `cells` around `a`, from place `after` on, that are nearer than a support, with their kernel
+    /// factors, to the row that ends at `end`; returns the new end.
+    #[inline]
+    fn find<const D: usize, K: Kernel>(
+        &mut self,
+        end: usize,
+        (a, r_a): (usize, &Vector<D>),
+        (cells, surrounding, after): (&CellList<D>, &mut Surrounding, usize),
+        search: &Search<'_, D, K>,
+        keeps_kernel: bool,
+    ) -> usize {
+        surrounding.find(cells, r_a);
+        let runs = surrounding.runs.iter().map(|run| run.start.max(after)..run.end);
+        let next = self.gather(end, (a, r_a), (cells, runs), (search.limit, keeps_kernel));
+        self.weigh(end..next, search.smoothing, keeps_kernel);
+        next
+    }
+
+    /// Writes the particles of `cells` in `runs` that are nearer to `a` than the root of `limit` from `end` on, and the squares of
     /// their distances in place of a kernel factor; returns the new end.
     #[inline]
     fn gather<const D: usize>(
         &mut self,
         end: usize,
         (a, r_a): (usize, &Vector<D>),
-        (cells, surrounding): (&CellList<D>, &Surrounding),
+        (cells, runs): (&CellList<D>, impl Iterator<Item = Range<usize>> + Clone),
         (limit, keeps_kernel): (f64, bool),
     ) -> usize {
         let r_a: [Lanes; D] = std::array::from_fn(|d| Lanes::splat(r_a[d]));
         let whole = |run: &Range<usize>| run.start..run.start + run.len().next_multiple_of(LANES);
-        let room = surrounding.runs.iter().map(|run| whole(run).len()).sum();
+        let room = runs.clone().map(|run| whole(&run).len()).sum();
         self.reserve(end, room, keeps_kernel);
         let squares = if keeps_kernel { &mut self.kernel } else { &mut self.gradient };
         let (index, squares) = (&mut self.index[end..end + room], &mut squares[end..end + room]);
         let mut kept = 0;
-        for run in &surrounding.runs {
-            let numbers = cells.sorted[whole(run)].as_chunks::<LANES>().0;
-            let axes = cells.position.0.each_ref().map(|axis| axis[whole(run)].as_chunks::<LANES>().0);
+        for run in runs.filter(|run| !run.is_empty()) {
+            let numbers = cells.sorted[whole(&run)].as_chunks::<LANES>().0;
+            let axes = cells.position.0.each_ref().map(|axis| axis[whole(&run)].as_chunks::<LANES>().0);
             for (k, number) in numbers.iter().enumerate() {
                 let away: [Lanes; D] = std::array::from_fn(|d| r_a[d] - Lanes::new(axes[d][k]));
                 let block = (number, dot(&away, &away), run.len() - k * LANES);
@@ -318,6 +349,13 @@ impl Pairs {
             self.gradient[pairs].iter_mut().for_each(|f| *f = smoothing.pair(f.sqrt()).1);
         }
     }
+}
+
+/// What all rows of a search share.
+struct Search<'a, const D: usize, K: Kernel> {
+    smoothing: &'a Smoothing<D, K>,
+    /// Square of the support in m2.
+    limit: f64,
 }
 
 /// To `length` and no more.
@@ -363,14 +401,14 @@ impl<const D: usize> Neighbors<D> {
         support: f64,
         threshold: impl Fn(usize) -> f64 + Sync,
     ) {
-        let Layout { solids, solid_ghosts, solids_see_solids, liquid_keeps_kernel } = layout.clone();
+        let Layout { solids, solid_ghosts, solids_see_solids, liquid_once } = layout.clone();
         let (count, first_fluid) = (solid_ghosts.start, solids.end);
-        let fluid = (first_fluid..count).chain(solid_ghosts.end..position.len());
+        let (fluid, ghosts) = (first_fluid..count, solid_ghosts.end..position.len());
         // Where solids see liquid alone, those beyond a support of it need not be looked at.
         let (min, max) = match solids_see_solids {
             true => extent_of(position.iter()),
             false => {
-                let (min, max) = extent_of(fluid.clone().map(|a| &position[a]));
+                let (min, max) = extent_of(fluid.clone().chain(ghosts.clone()).map(|a| &position[a]));
                 (min.add_scalar(-support), max.add_scalar(support))
             }
         };
@@ -378,41 +416,58 @@ impl<const D: usize> Neighbors<D> {
         let near = solids.chain(solid_ghosts).filter(|&a| solids_see_solids || is_inside(&position[a]));
         let grid = Grid::covering((min, max), position.len(), support);
         self.solid_cells.sort(&grid, near, position);
-        self.fluid_cells.sort(&grid, fluid, position);
+        self.fluid_cells.sort(&grid, fluid.clone(), position);
+        self.ghost_cells.sort(&grid, ghosts, position);
         self.chunks.resize_with(count.div_ceil(CHUNK), Chunk::default);
-        let (solid_cells, fluid_cells) = (&self.solid_cells, &self.fluid_cells);
-        let limit = support * support;
-        self.chunks.par_iter_mut().enumerate().for_each(|(c, chunk)| {
-            chunk.start.clear();
-            chunk.start.push(0);
-            chunk.liquid.clear();
-            (chunk.near_liquid.cell, chunk.near_solids.cell) = (None, None);
+        let Self { chunks, solid_cells, fluid_cells, ghost_cells } = self;
+        let search = Search { smoothing, limit: support * support };
+        chunks.par_iter_mut().enumerate().for_each(|(c, chunk)| {
+            let Chunk { start, liquid, pairs, keeps_kernel, span, near_liquid, near_ghosts, near_solids } =
+                chunk;
+            start.clear();
+            start.push(0);
+            liquid.clear();
+            [&mut *near_liquid, near_ghosts, near_solids].into_iter().for_each(|near| near.cell = None);
             let mut end = 0;
             let rows = c * CHUNK..((c + 1) * CHUNK).min(count);
-            chunk.keeps_kernel = liquid_keeps_kernel || rows.start < first_fluid;
-            let keeps = chunk.keeps_kernel;
+            let keeps = !liquid_once || rows.start < first_fluid;
+            (*keeps_kernel, *span) = (keeps, rows.start.max(first_fluid)..rows.end.max(first_fluid));
             for (a, r_a) in rows.clone().zip(&position[rows]) {
                 let (least, before) = (threshold(a), end);
-                let mut liquid = 0;
+                let mut own_liquid = 0;
                 if least < f64::INFINITY && is_inside(r_a) {
-                    chunk.near_liquid.find(fluid_cells, r_a);
-                    let near = (fluid_cells, &chunk.near_liquid);
-                    end = chunk.pairs.gather(end, (a, r_a), near, (limit, keeps));
-                    chunk.pairs.weigh(before..end, smoothing, keeps);
-                    liquid = end - before;
-                    if least > 0.0 && chunk.pairs.kernel[before..end].iter().sum::<f64>() < least {
-                        (end, liquid) = (before, 0);
-                    } else if solids_see_solids || a >= first_fluid {
-                        chunk.near_solids.find(solid_cells, r_a);
-                        let near = (solid_cells, &chunk.near_solids);
-                        end = chunk.pairs.gather(end, (a, r_a), near, (limit, keeps));
-                        chunk.pairs.weigh(before + liquid..end, smoothing, keeps);
+                    let is_liquid = a >= first_fluid;
+                    let after = match liquid_once && is_liquid {
+                        true => fluid_cells.place[a - first_fluid] as usize + 1,
+                        false => 0,
+                    };
+                    end = pairs.find(end, (a, r_a), (fluid_cells, near_liquid, after), &search, keeps);
+                    if is_liquid {
+                        let own = pairs.index[before..end].iter();
+                        let (first, last) =
+                            own.fold((u32::MAX, 0), |(first, last), &b| (first.min(b), last.max(b)));
+                        *span = span.start.min(first as usize)..span.end.max(last as usize + 1);
+                    }
+                    end = pairs.find(end, (a, r_a), (ghost_cells, near_ghosts, 0), &search, keeps);
+                    own_liquid = end - before;
+                    if least > 0.0 && pairs.kernel[before..end].iter().sum::<f64>() < least {
+                        (end, own_liquid) = (before, 0);
+                    } else if solids_see_solids || is_liquid {
+                        end = pairs.find(end, (a, r_a), (solid_cells, near_solids, 0), &search, keeps);
                     }
                 }
-                chunk.start.push(end);
-                chunk.liquid.push(liquid as u32);
+                start.push(end);
+                liquid.push(own_liquid as u32);
             }
         });
+    }
+
+    /// The fluid in chunks of rows, each with the fluid that appears in it, but for ghosts.
+    pub(crate) fn spans(&self) -> impl Iterator<Item = (Range<usize>, Range<usize>)> {
+        self.chunks.iter().enumerate().map(|(c, chunk)| {
+            let rows = c * CHUNK..c * CHUNK + chunk.liquid.len();
+            (rows, chunk.span.clone())
+        })
     }
 
     /// Neighbours of particle `a`.
@@ -565,30 +620,42 @@ mod tests {
     }
 
     #[test]
-    fn rows_without_kernel_values_are_the_same_otherwise() {
-        let (position, support) = (scatter::<3>(1200), 0.21);
+    fn pairs_of_liquid_listed_once_are_all_pairs() {
+        let (position, support) = (scatter::<3>(1500), 0.21);
         let smoothing = Smoothing::<3, WendlandC2>::new(support / 2.0);
-        let with = Layout::without_ghosts(300, position.len()).with_solids_blind_to_solids();
-        let [full, bare] = [with.clone(), with.with_liquid_without_kernel()].map(|layout| {
+        // Solids, liquid, ghosts of solids and of liquid.
+        let (first, owned) = (300, 1200);
+        let layout = Layout { solids: 0..first, solid_ghosts: owned..1300, ..Layout::default() }
+            .with_solids_blind_to_solids();
+        let [full, once] = [layout.clone(), layout.with_liquid_once()].map(|layout| {
             let mut neighbors = Neighbors::default();
-            // Over the buffers of a search that kept all.
-            neighbors.update(
-                &position,
-                &Layout::without_ghosts(0, position.len()),
-                &smoothing,
-                support,
-                |_| 0.0,
-            );
+            // Over the buffers of another search.
+            let other = Layout::without_ghosts(0, position.len());
+            neighbors.update(&position, &other, &smoothing, support, |_| 0.0);
             neighbors.update(&position, &layout, &smoothing, support, |_| 0.0);
             neighbors
         });
-        for a in 0..position.len() {
-            let (full, bare) = (full.row(a), bare.row(a));
-            assert_eq!((full.index, full.gradient, full.liquid), (bare.index, bare.gradient, bare.liquid));
-            // Solids share a chunk with the first of the liquid.
-            let expected = if a < CHUNK { full.kernel } else { &[] };
-            assert_eq!(bare.kernel, expected);
-            assert!(a < CHUNK || bare.iter().all(|(_, w, _)| w.is_nan()));
+        let pairs = |row: Row<'_>| -> Vec<_> {
+            let mut pairs: Vec<_> = row.index.iter().copied().zip(row.gradient.iter().copied()).collect();
+            pairs.sort_by_key(|(b, _)| *b);
+            pairs
+        };
+        let mut liquid = vec![vec![]; position.len()];
+        for a in first..owned {
+            let (full, once) = (full.row(a).split(), once.row(a).split());
+            assert_eq!(pairs(full.1), pairs(once.1));
+            assert!(a < CHUNK || once.0.iter().all(|(_, w, _)| w.is_nan()));
+            for (b, f) in pairs(once.0) {
+                liquid[a].push((b, f));
+                liquid[b as usize].push((a as u32, f));
+            }
+        }
+        for a in 0..owned {
+            liquid[a].sort_by_key(|(b, _)| *b);
+            match a < first {
+                true => assert_eq!(pairs(full.row(a)), pairs(once.row(a)), "solids see all"),
+                false => assert_eq!(pairs(full.row(a).split().0), liquid[a]),
+            }
         }
     }
 

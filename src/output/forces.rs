@@ -152,7 +152,6 @@ impl<const D: usize> Patch<D> {
 mod tests {
     use super::*;
     use crate::case::{build, read};
-    use crate::neighbors::Neighbors;
 
     /// A box hangs under 0.4 m of water in a tank 0.6 m long; the pressure of walls is hydrostatic by decree.
     const CASE: &str = r#"
@@ -184,12 +183,11 @@ until = 1
         particles.pressure = pressure;
         let active: Vec<bool> = particles.position.iter().map(|r| r.y < 0.4).collect();
         let reactions = vec![wall_force.unwrap_or_default(); particles.walls().len()];
-        let neighbors = Neighbors::default();
         let fields = Fields {
             active: &active,
             walls_carry_pressure: wall_force.is_none(),
             wall_force: if wall_force.is_some() { &reactions } else { &[] },
-            ..Fields::none(&neighbors)
+            ..Fields::none()
         };
         let forces = Forces::new(&case, &scene.lattice, &scene.params);
         forces.read(&particles, &fields, |_| true, &scene.params.gravity)

@@ -500,7 +500,6 @@ impl Bins {
 mod tests {
     use super::*;
     use crate::case::{build, read};
-    use crate::neighbors::Neighbors;
 
     const CASE: &str = r#"
 name = "bath"
@@ -548,12 +547,11 @@ until = 1
             wall_force.extend(particles.walls().map(push));
         }
         let active: Vec<bool> = particles.position.iter().map(|r| r.y < level(r)).collect();
-        let neighbors = Neighbors::default();
         let fields = Fields {
             active: &active,
             walls_carry_pressure: walls == Walls::Carry,
             wall_force: &wall_force,
-            ..Fields::none(&neighbors)
+            ..Fields::none()
         };
         let mut gauges = Gauges::new(&case.probes, &scene.lattice, &particles, &scene.params);
         gauges.read(&particles, &scene.params.bodies, &fields, |_| true, &scene.params.gravity, 0.0)
@@ -620,8 +618,7 @@ until = 1
         }
         assert!(behind > 0, "the body is in the liquid");
         let active = vec![true; scene.particles.len()];
-        let neighbors = Neighbors::default();
-        let fields = Fields { active: &active, ..Fields::none(&neighbors) };
+        let fields = Fields { active: &active, ..Fields::none() };
         let (particles, params) = (&scene.particles, &scene.params);
         let found = gauges.read(particles, &params.bodies, &fields, |_| true, &params.gravity, 0.0);
         assert!((number(found[0]) - depth(&at)).abs() < 1e-6, "{found:?} Pa, {} Pa", depth(&at));
@@ -665,8 +662,7 @@ until = 1
             ];
             let case = read::read(CASE, "bath", &sets.map(|(k, v)| (k.to_owned(), v))).unwrap();
             let scene = build::scene::<2>(&case);
-            let neighbors = Neighbors::default();
-            let fields = Fields::none(&neighbors);
+            let fields = Fields::none();
             let mut gauges = Gauges::new(&case.probes, &scene.lattice, &scene.particles, &scene.params);
             let height = number(
                 gauges.read(

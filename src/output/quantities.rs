@@ -185,7 +185,6 @@ pub fn particles<const D: usize>(scene: &Scene<D>) -> f64 {
 mod tests {
     use super::*;
     use crate::case::{build, read};
-    use crate::neighbors::Neighbors;
 
     /// Against every pair; spray flies ahead of the liquid, farther than the slab that is looked at first.
     #[test]
@@ -194,9 +193,8 @@ mod tests {
                     fluid.block = [{min = [0, 0], max = [1, 0.5]}]";
         let scene = build::scene::<2>(&read::read(text, "front", &[]).unwrap());
         let (mut particles, near) = (scene.particles, 1.5 * scene.params.spacing);
-        let neighbors = Neighbors::default();
         let front_of = |particles: &Particles<2>| {
-            let fields = Fields::none(&neighbors);
+            let fields = Fields::none();
             let (params, gravity) = (&scene.params, Vector::zeros());
             front(&Scene { particles, fields, params, gravity, roughness: 0.0 })
         };

@@ -50,9 +50,9 @@ impl Slabs {
         Self { cuts }
     }
 
-    /// Whether `local`, the work of this rank, is too far above the mean on any rank.
-    pub fn are_uneven(ranks: &Ranks, local: f64) -> bool {
-        ranks.max(local) * ranks.count() as f64 > BALANCED * ranks.sum(local)
+    /// Whether `local`, the work of this rank of `total`, is too far above the mean on any rank.
+    pub fn are_uneven(ranks: &Ranks, local: f64, total: f64) -> bool {
+        ranks.max(local) * ranks.count() as f64 > BALANCED * total
     }
 
     /// Rank that owns the place with first coordinate `x` in m.

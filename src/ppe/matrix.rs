@@ -566,10 +566,9 @@ impl Groups {
         let local = |column: Index| (column as usize).wrapping_sub(first);
         for k in 0..rows.len() {
             // Columns ascend, and links are mutual: those before the diagonal tell all.
-            let columns = &rows.column[rows.start[k] as usize..rows.start[k + 1] as usize];
             let mut a = k as u32;
-            for c in columns.iter().map(|&c| local(c)).skip_while(|&c| c >= rows.len()).take_while(|&c| c < k)
-            {
+            let columns = rows.columns(k).iter().map(|&c| local(c));
+            for c in columns.skip_while(|&c| c >= rows.len()).take_while(|&c| c < k) {
                 if self.parent[c] != a {
                     let b = self.root(c as u32);
                     self.parent[a.max(b) as usize] = a.min(b);
@@ -598,7 +597,7 @@ impl Groups {
         let mut links = vec![];
         for k in 0..particle_of.len() {
             // Columns ascend: those of other ranks lie before and behind.
-            let row = &system.full.column[system.full.start[k] as usize..system.full.start[k + 1] as usize];
+            let row = system.full.columns(k);
             let [from, to] = [mine.start, mine.end].map(|end| row.partition_point(|c| *c < end));
             let others = row[..from].iter().chain(&row[to..]);
             links.extend(others.filter_map(|column| Some((k, *foreign.get(column)?))));

@@ -12,6 +12,7 @@ pub mod solve;
 pub mod source;
 
 use crate::Result;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Number of a row or a column: PETSc's own integer, of 64 bits where PETSc was built so.
@@ -136,10 +137,19 @@ impl Rows {
         self.len() == 0
     }
 
+    fn range(&self, k: usize) -> Range<usize> {
+        self.start[k] as usize..self.start[k + 1] as usize
+    }
+
+    /// Columns of row `k`, ascending.
+    pub fn columns(&self, k: usize) -> &[Index] {
+        &self.column[self.range(k)]
+    }
+
     /// (column, value) of row `k`.
     pub fn row(&self, k: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
-        let range = self.start[k] as usize..self.start[k + 1] as usize;
-        self.column[range.clone()].iter().zip(&self.value[range]).map(|(&c, &v)| (c as usize, v))
+        let values = &self.value[self.range(k)];
+        self.columns(k).iter().zip(values).map(|(&c, &v)| (c as usize, v))
     }
 
     /// Entry (k, column), zero if it is not stored.

@@ -524,6 +524,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
 
     fn set_state(&mut self, state: &[f64]) -> Option<()> {
         let &[acceleration, steps, has_surface] = state else { return None };
+        self.halo.forget_slabs();
         (self.acceleration, self.steps, self.has_surface) = (acceleration, steps as u64, has_surface == 1.0);
         Some(())
     }
@@ -550,7 +551,6 @@ impl<const D: usize> Scheme<D> for Isph<D> {
             crowding: &self.crowding,
             surface: &self.surface,
             active: &self.support.active,
-            neighbors: &self.support.neighbors,
             walls_carry_pressure: true,
             wall_force: &self.wall_force,
         }

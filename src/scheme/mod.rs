@@ -329,8 +329,6 @@ pub struct Fields<'a, const D: usize> {
     pub surface: &'a [f64],
     /// Liquid, and walls where they are wet.
     pub active: &'a [bool],
-    /// Neighbours at the last search.
-    pub neighbors: &'a Neighbors<D>,
     /// Whether the pressures of wet walls mean anything; if not, gauges on walls read the forces on them.
     pub walls_carry_pressure: bool,
     /// Force in N with which liquid pushes each wall particle by repulsion or collisions, beside any pressure that walls carry; empty
@@ -340,9 +338,8 @@ pub struct Fields<'a, const D: usize> {
 
 impl<'a, const D: usize> Fields<'a, D> {
     /// No fields, beside walls whose pressures count.
-    pub fn none(neighbors: &'a Neighbors<D>) -> Self {
-        let (crowding, surface, active, wall_force) = (&[], &[], &[], &[]);
-        Self { crowding, surface, active, neighbors, walls_carry_pressure: true, wall_force }
+    pub fn none() -> Self {
+        Self { crowding: &[], surface: &[], active: &[], walls_carry_pressure: true, wall_force: &[] }
     }
 }
 

@@ -1,12 +1,11 @@
 //! The whole scene at one moment, as those see it who look: particles and fields of all ranks, gathered on the first.
 //!
-//! Looking costs what gathering costs, and the memory of the whole scene on the first rank. Nobody's neighbours are known there, nor what gauges on
-//! walls read: that is for all ranks to read together.
+//! Looking costs what gathering costs, and the memory of the whole scene on the first rank. What gauges on walls read is not
+//! known there: that is for all ranks to read together.
 
 use super::{Compressibility, Fields, Params, Scheme, Stages, StepReport};
 use crate::bodies::Bodies;
 use crate::halo::Halo;
-use crate::neighbors::Neighbors;
 use crate::parallel::{Packed, Ranks};
 use crate::particles::{Fluid, Particles, Vector};
 use crate::{Error, Result};
@@ -18,7 +17,6 @@ pub struct Still<const D: usize> {
     halo: Halo<D>,
     crowding: Vec<f64>,
     surface: Vec<f64>,
-    neighbors: Neighbors<D>,
     state: Vec<f64>,
     compressibility: Option<Compressibility>,
     stages: Stages,
@@ -63,7 +61,6 @@ impl<const D: usize> Still<D> {
             halo: Halo::new(params.periodic, params.support()),
             crowding: vec![1.0; count],
             surface: vec![0.0; count],
-            neighbors: Neighbors::default(),
             state: scheme.state(),
             compressibility: scheme.compressibility(),
             stages: scheme.stages().clone(),
@@ -139,7 +136,7 @@ impl<const D: usize> Scheme<D> for Still<D> {
     }
 
     fn fields(&self) -> Fields<'_, D> {
-        Fields { crowding: &self.crowding, surface: &self.surface, ..Fields::none(&self.neighbors) }
+        Fields { crowding: &self.crowding, surface: &self.surface, ..Fields::none() }
     }
 
     fn save_system(&self, _: &Path, _: &str) -> Result<()> {

@@ -9,6 +9,9 @@
 //! with the artificial viscosity Pi of [`crate::terms::artificial_viscosity`]. Forces of a pair are opposite and equal, and
 //! (2) and (3) are each other's adjoint: together they keep momentum, and energy but for the viscosity.
 //!
+//! All three sums take each pair of liquid once, for both ([`crate::pair_sums`]). Only shifting, (7) and the slopes of Antuono et al. want whole
+//! rows, a second search.
+//!
 //! The laminar viscosity, of the form that [`crate::terms::viscosity`] gives the scene, adds to (3). Ghosts beyond periodic sides
 //! ([`crate::halo`]) count like any other particle.
 //!
@@ -121,6 +124,7 @@ use crate::halo::Halo;
 use crate::kernel::LatticeSums;
 use crate::neighbors::{Layout, Neighbors, Row};
 use crate::operators::{Moments, Surroundings};
+use crate::pair_sums::{PairSums, Window};
 use crate::parallel::Ranks;
 use crate::particles::{Matrix, Particles, ReorderScratch, Vector};
 use crate::simd::{LANES, Lanes, dot};
@@ -130,6 +134,7 @@ use crate::terms::shifting::Shifting;
 use crate::terms::state_equation::Tait;
 use crate::terms::{surface, viscosity};
 use rayon::prelude::*;
+use std::ops::{Add, AddAssign};
 use std::path::Path;
 
 /// What WCSPH needs to know beyond what all schemes share; SI units.
@@ -221,7 +226,10 @@ pub struct Wcsph<const D: usize> {
     ranks: Ranks,
     halo: Halo<D>,
     walls: DummyWalls<D>,
+    /// Pairs of liquid once, and those of liquid and solids in the rows of both.
     neighbors: Neighbors<D>,
+    /// All neighbours of liquid, where sums want them one by one.
+    rows: Neighbors<D>,
     /// Liquid and wet walls.
     wet: Vec<bool>,
     /// Those that carry a pressure.
@@ -230,6 +238,10 @@ pub struct Wcsph<const D: usize> {
     /// p / rho^2 in m5/(kg s2).
     push: Vec<f64>,
     records: Vec<Record>,
+    continuity_sums: PairSums<f64>,
+    /// Of matrices, where Eq. (6) is in force.
+    matrix_sums: PairSums<Lines<D>>,
+    rate_sums: PairSums<Share>,
     /// All but solids without liquid neighbours.
     beside_liquid: Vec<bool>,
     rates: Vec<Rates<D>>,
@@ -272,11 +284,15 @@ impl<const D: usize> Wcsph<D> {
             halo: super::halo(&params, particles),
             walls,
             neighbors,
+            rows: Neighbors::default(),
             wet: vec![],
             active: vec![],
             density: vec![],
             push: vec![],
             records: vec![],
+            continuity_sums: PairSums::new(0.0),
+            matrix_sums: PairSums::new(Lines([Lanes::splat(0.0); D])),
+            rate_sums: PairSums::new(Share::default()),
             beside_liquid: vec![],
             rates: vec![],
             before: vec![],
@@ -318,10 +334,7 @@ impl<const D: usize> Wcsph<D> {
             _ => f64::INFINITY,
         };
         let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
-        let mut layout = Layout::of(particles).with_solids_blind_to_solids();
-        if self.method.velocity_smoothing == 0.0 {
-            layout = layout.with_liquid_without_kernel();
-        }
+        let layout = Layout::of(particles).with_solids_blind_to_solids().with_liquid_once();
         self.neighbors.search(kernel, h, &particles.position, &layout, threshold);
         self.beside_liquid.clear();
         let is_beside = |w: usize| !self.neighbors.row(w).index.is_empty();
@@ -337,8 +350,16 @@ impl<const D: usize> Wcsph<D> {
         }
     }
 
+    /// Full rows of the liquid.
+    fn find_rows(&mut self, particles: &Particles<D>) {
+        let first = particles.solids();
+        let liquid = |a| if a < first { f64::INFINITY } else { f64::NEG_INFINITY };
+        let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
+        self.rows.search(kernel, h, &particles.position, &Layout::of(particles), liquid);
+    }
+
     fn around<'a>(&'a self, particles: &'a Particles<D>) -> Surroundings<'a, D> {
-        let (neighbors, active) = (&self.neighbors, &self.active);
+        let (neighbors, active) = (&self.rows, &self.active);
         Surroundings { position: &particles.position, neighbors, active, volume: self.params.volume() }
     }
 
@@ -430,37 +451,41 @@ impl<const D: usize> Wcsph<D> {
     /// drho/dt by Eq. (2) alone, and rho += dt drho/dt.
     fn continuity(&mut self, particles: &Particles<D>, dt: f64) {
         self.pack(particles);
-        let (fluid, mass) = (particles.fluid(), self.params.mass());
+        let is_corrected = self.is_corrected();
+        let (fluid, mass, wall_pressure) = (particles.fluid(), self.params.mass(), self.method.wall_pressure);
         let first = fluid.start;
-        let (wall_pressure, neighbors, records) = (self.method.wall_pressure, &self.neighbors, &self.records);
-        let shape = self.is_corrected().then_some(&self.shape);
-        let liquid = (&mut self.density[fluid], &mut self.rates).into_par_iter();
-        liquid.enumerate().with_min_len(256).for_each(|(k, (density, rates))| {
-            let a = first + k;
-            let row = neighbors.row(a);
-            let row = if wall_pressure { row } else { row.split().0 };
-            let pairs = row.blocks().map(|(index, f)| (Block::<D>::new(records, a, &index), f));
-            let zero = Lanes::splat(0.0);
+        let Self { neighbors, records, continuity_sums, matrix_sums, shape, density, rates, .. } = self;
+        let near = Near { neighbors, records };
+        let of_liquid: &(dyn Fn(usize) -> f64 + Sync) = if is_corrected {
             // sum_b v_ab . S grad W is the trace of S sum_b grad W (x) v_ab.
-            rates.continuity = mass
-                * match shape {
-                    Some(shape) => {
-                        let mut sums = [[zero; D]; D];
-                        for (pair, f) in pairs {
-                            for (sums, r) in sums.iter_mut().zip(&pair.r) {
-                                sums.iter_mut()
-                                    .zip(&pair.v)
-                                    .for_each(|(sum, v)| *sum = (f * *r).mul_add(*v, *sum));
-                            }
-                        }
-                        (shape[a] * Matrix::<D>::from_fn(|d, e| sums[d][e].reduce_add())).trace()
-                    }
-                    None => {
-                        pairs.fold(zero, |sum, (pair, f)| f.mul_add(dot(&pair.v, &pair.r), sum)).reduce_add()
-                    }
-                };
-            *density += dt * rates.continuity;
-        });
+            let sums = matrix_sums.collect(neighbors, fluid.clone(), |a, window| {
+                near.add_matrices(a, |pair| pair.v, window);
+            });
+            &|k| (shape[first + k] * sums[k].matrix()).trace()
+        } else {
+            let sums = continuity_sums.collect(neighbors, fluid.clone(), |a, window| {
+                let mut own = Lanes::splat(0.0);
+                for (index, pair, f) in near.liquid(a) {
+                    let share = f * dot(&pair.v, &pair.r);
+                    own += share;
+                    index.iter().zip(share.to_array()).for_each(|(b, share)| window.add(*b as usize, share));
+                }
+                window.add(a, own.reduce_add());
+            });
+            &|k| sums[k]
+        };
+        (&mut density[fluid], rates).into_par_iter().enumerate().with_min_len(256).for_each(
+            |(k, (density, rates))| {
+                rates.continuity = of_liquid(k);
+                if wall_pressure {
+                    let of_pairs = near.solids(first + k).map(|(_, pair, f)| f * dot(&pair.v, &pair.r));
+                    rates.continuity +=
+                        of_pairs.fold(Lanes::splat(0.0), |sum, share| sum + share).reduce_add();
+                }
+                rates.continuity *= mass;
+                *density += dt * rates.continuity;
+            },
+        );
     }
 
     /// dv/dt and drho/dt of the liquid, and its surface.
@@ -502,21 +527,26 @@ impl<const D: usize> Wcsph<D> {
     ) {
         self.pack(particles);
         let (mut rates, mut surface) = (std::mem::take(&mut self.rates), std::mem::take(&mut self.surface));
+        let mut rate_sums = std::mem::replace(&mut self.rate_sums, PairSums::new(Share::default()));
         let (first, walls) = (particles.solids(), particles.walls().end);
         let pairs = self.pairs();
-        (&mut rates, &mut surface[particles.fluid()]).into_par_iter().enumerate().with_min_len(256).for_each(
-            |(k, (rates, surface))| {
+        let form = (self.is_corrected(), self.takes_differences());
+        let sums = rate_sums.collect(&self.neighbors, particles.fluid(), |a, window| match form {
+            (true, _) => pairs.add_liquid::<D, CORRECTED>(self, a, &excess, window),
+            (false, true) => pairs.add_liquid::<D, DIFFERENCES>(self, a, &excess, window),
+            (false, false) => pairs.add_liquid::<D, SUMS>(self, a, &excess, window),
+        });
+        (&mut rates, &mut surface[particles.fluid()], sums)
+            .into_par_iter()
+            .enumerate()
+            .with_min_len(256)
+            .for_each(|(k, (rates, surface, sums))| {
                 let a = first + k;
-                let (liquid, solid) = self.neighbors.row(a).split();
-                *rates = Rates { acceleration: self.params.gravity, ..Rates::default() };
-                match self.is_corrected() {
-                    true => pairs.add_liquid::<D, true>(self, a, liquid, rates, &excess),
-                    false => pairs.add_liquid::<D, false>(self, a, liquid, rates, &excess),
-                }
+                *rates = pairs.rates(sums, self.params.gravity);
                 if self.method.wall_pressure {
-                    pairs.add_walls(self, particles, a, solid, rates);
+                    pairs.add_walls(self, particles, a, rates);
                 }
-                let r_a = particles.position[a];
+                let (r_a, solid) = (particles.position[a], self.neighbors.row(a).split().1);
                 for (b, _, f) in solid.iter() {
                     let r_ab = r_a - particles.position[b];
                     rates.filling -= if self.wet[b] { f * r_ab.norm_squared() } else { 0.0 };
@@ -531,19 +561,13 @@ impl<const D: usize> Wcsph<D> {
                     }
                 }
                 *surface = surface::weight_at::<D>(self.params.volume() * rates.filling);
-            },
-        );
-        (self.rates, self.surface) = (rates, surface);
+            });
+        (self.rates, self.surface, self.rate_sums) = (rates, surface, rate_sums);
     }
 
-    /// p_a / rho_a^2 as it stands in the sum of Eq. (3), or with the sign of Eq. (4) where no surface tells the pressure's level.
-    #[inline]
-    fn own_push(&self, a: usize) -> f64 {
-        if self.has_surface || !self.method.differences_in_closed_liquid {
-            self.push[a]
-        } else {
-            -self.push[a]
-        }
+    /// Whether Eq. (4) takes the place of (3): no surface tells the pressure's level.
+    fn takes_differences(&self) -> bool {
+        !self.has_surface && self.method.differences_in_closed_liquid
     }
 
     fn pairs(&self) -> Pairs {
@@ -562,36 +586,47 @@ impl<const D: usize> Wcsph<D> {
         }
     }
 
+    fn near(&self) -> Near<'_, D> {
+        Near { neighbors: &self.neighbors, records: &self.records }
+    }
+
     fn is_corrected(&self) -> bool {
         self.method.corrected && self.has_surface
     }
 
     /// Moments and corrections that the step needs, where it takes place.
     fn assess(&mut self, particles: &Particles<D>) {
-        let corrected = self.is_corrected();
-        if corrected || self.method.shifting > 0.0 || self.method.density_diffusion == DiffusionKind::Antuono
-        {
+        let Method { shifting, velocity_smoothing, density_diffusion, .. } = self.method;
+        let wants_moments = shifting > 0.0 || density_diffusion == DiffusionKind::Antuono;
+        if wants_moments || velocity_smoothing > 0.0 {
+            self.find_rows(particles);
+        }
+        if wants_moments {
             self.measure(particles);
         }
-        if corrected {
+        if self.is_corrected() {
             self.shape(particles);
         }
     }
 
     /// S of Eq. (6), the identity beside solids.
     fn shape(&mut self, particles: &Particles<D>) {
-        let (mut shape, first) = (std::mem::take(&mut self.shape), particles.solids());
+        self.pack(particles);
+        let (first, volume) = (particles.solids(), self.params.volume());
+        let Self { neighbors, records, matrix_sums, shape, .. } = self;
+        let near = Near { neighbors, records };
+        let sums = matrix_sums.collect(neighbors, particles.fluid(), |a, window| {
+            near.add_matrices(a, |pair| pair.r, window);
+        });
         shape.resize(particles.len(), Matrix::identity());
-        let (neighbors, moments) = (&self.neighbors, &self.moments);
-        shape[particles.fluid()].par_iter_mut().enumerate().with_min_len(256).for_each(|(k, shape)| {
-            let a = first + k;
-            *shape = match neighbors.has_solids(a) {
+        let fluid = (&mut shape[particles.fluid()], sums).into_par_iter().enumerate().with_min_len(256);
+        fluid.for_each(|(k, (shape, sum))| {
+            *shape = match neighbors.has_solids(first + k) {
                 true => Matrix::identity(),
-                false => moments[a].shape_correction(),
+                false => Moments { matrix: -volume * sum.matrix(), ..Moments::default() }.shape_correction(),
             };
         });
-        self.halo.refresh(particles.originals(), &mut shape);
-        self.shape = shape;
+        self.halo.refresh(particles.originals(), shape);
     }
 
     /// Moments of the support of all liquid.
@@ -714,7 +749,7 @@ impl<const D: usize> Wcsph<D> {
         self.halo.refresh(particles.originals(), &mut self.density);
         let (mut moves, first) = (std::mem::take(&mut self.moves), particles.solids());
         moves.resize(particles.owned() - first, (Vector::zeros(), Vector::zeros()));
-        let (neighbors, velocity, density) = (&self.neighbors, &particles.velocity, &self.density);
+        let (neighbors, velocity, density) = (&self.rows, &particles.velocity, &self.density);
         let share = 2.0 * self.method.velocity_smoothing * self.params.mass() * dt;
         moves.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, (dr, dv))| {
             let a = first + k;
@@ -840,31 +875,140 @@ impl<const D: usize> Block<D> {
     }
 }
 
-/// What a row adds up to; each lane has every fourth pair.
-struct Sums<const D: usize> {
-    /// dv/dt over the mass of a particle.
+/// Pairs by blocks, as (b, what sums need of them, F_ab); the last block of a row is filled up with pairs of F = 0.
+#[derive(Clone, Copy)]
+struct Near<'a, const D: usize> {
+    neighbors: &'a Neighbors<D>,
+    records: &'a [Record],
+}
+
+impl<'a, const D: usize> Near<'a, D> {
+    /// Of liquid in the row of `a`: each pair once.
+    #[inline]
+    fn liquid(self, a: usize) -> impl Iterator<Item = ([u32; LANES], Block<D>, Lanes)> + 'a {
+        self.blocks(a, self.neighbors.row(a).split().0)
+    }
+
+    /// Of solids around `a`.
+    #[inline]
+    fn solids(self, a: usize) -> impl Iterator<Item = ([u32; LANES], Block<D>, Lanes)> + 'a {
+        self.blocks(a, self.neighbors.row(a).split().1)
+    }
+
+    #[inline]
+    fn blocks(self, a: usize, row: Row<'a>) -> impl Iterator<Item = ([u32; LANES], Block<D>, Lanes)> + 'a {
+        row.blocks().map(move |(index, f)| (index, Block::new(self.records, a, &index), f))
+    }
+
+    /// Adds F r_ab (x) q_ab of the pairs of liquid in the row of `a` to both.
+    #[inline]
+    fn add_matrices(self, a: usize, q: impl Fn(&Block<D>) -> [Lanes; D], window: &mut Window<Lines<D>>) {
+        let mut own = [[Lanes::splat(0.0); LANES]; D];
+        for (index, pair, f) in self.liquid(a) {
+            let q = q(&pair);
+            let mut shares = [[Lanes::splat(0.0); LANES]; D];
+            for d in 0..D {
+                let r = f * pair.r[d];
+                for e in 0..D {
+                    shares[d][e] = r * q[e];
+                    own[d][e] += shares[d][e];
+                }
+                shares[d] = Lanes::transpose(shares[d]);
+            }
+            for (k, b) in index.into_iter().enumerate() {
+                window.add(b as usize, Lines(std::array::from_fn(|d| shares[d][k])));
+            }
+        }
+        let sum =
+            |lanes: [Lanes; LANES]| Lanes::transpose(lanes).into_iter().fold(Lanes::splat(0.0), Lanes::add);
+        window.add(a, Lines(own.map(sum)));
+    }
+}
+
+/// The rows of a matrix, filled up with zeros.
+#[derive(Debug, Clone, Copy)]
+struct Lines<const D: usize>([Lanes; D]);
+
+impl<const D: usize> Lines<D> {
+    fn matrix(&self) -> Matrix<D> {
+        Matrix::from_fn(|d, e| self.0[d].to_array()[e])
+    }
+}
+
+impl<const D: usize> AddAssign for Lines<D> {
+    #[inline]
+    fn add_assign(&mut self, other: Self) {
+        for d in 0..D {
+            self.0[d] += other.0[d];
+        }
+    }
+}
+
+/// What pairs give to a particle.
+#[derive(Debug, Clone, Copy, Default)]
+struct Share {
+    /// dv/dt over the mass of a particle, in 2D filled up with a zero, and the sum for the diffusion.
+    motion: Lanes,
+    /// drho/dt by (2) over that mass, and the filling.
+    density: [f64; 2],
+}
+
+impl AddAssign for Share {
+    #[inline]
+    fn add_assign(&mut self, other: Self) {
+        self.motion += other.motion;
+        self.density[0] += other.density[0];
+        self.density[1] += other.density[1];
+    }
+}
+
+/// Shares by quantity: of the pairs of a block, or what a row adds up to, each lane every fourth pair.
+#[derive(Clone, Copy)]
+struct Shares<const D: usize> {
     force: [Lanes; D],
-    /// drho/dt by (2) over that mass.
-    continuity: Lanes,
     diffusion: Lanes,
+    continuity: Lanes,
     filling: Lanes,
 }
 
-impl<const D: usize> Default for Sums<D> {
+impl<const D: usize> Default for Shares<D> {
     fn default() -> Self {
         let zero = Lanes::splat(0.0);
-        Self { force: [zero; D], continuity: zero, diffusion: zero, filling: zero }
+        Self { force: [zero; D], diffusion: zero, continuity: zero, filling: zero }
     }
 }
 
-impl<const D: usize> Sums<D> {
-    fn add_to(&self, rates: &mut Rates<D>, pairs: &Pairs) {
-        rates.acceleration += pairs.mass * Vector::from_fn(|d, _| self.force[d].reduce_add());
-        rates.continuity += pairs.mass * self.continuity.reduce_add();
-        rates.diffusion += pairs.diffusion.of(pairs.volume * self.diffusion.reduce_add());
-        rates.filling += self.filling.reduce_add();
+impl<const D: usize> Shares<D> {
+    #[inline]
+    fn add(&mut self, other: &Self) {
+        self.force.iter_mut().zip(other.force).for_each(|(sum, share)| *sum += share);
+        self.diffusion += other.diffusion;
+        self.continuity += other.continuity;
+        self.filling += other.filling;
+    }
+
+    /// By pair.
+    #[inline]
+    fn each(&self) -> [Share; LANES] {
+        let mut motion = [Lanes::splat(0.0); LANES];
+        motion[..D].copy_from_slice(&self.force);
+        motion[LANES - 1] = self.diffusion;
+        let motion = Lanes::transpose(motion);
+        let [continuity, filling] = [self.continuity, self.filling].map(Lanes::to_array);
+        std::array::from_fn(|k| Share { motion: motion[k], density: [continuity[k], filling[k]] })
+    }
+
+    fn sum(&self) -> Share {
+        let [mut sum, others @ ..] = self.each();
+        others.into_iter().for_each(|share| sum += share);
+        sum
     }
 }
+
+/// How pressures push: Eqs. (3), (4) and (6).
+const SUMS: u8 = 0;
+const DIFFERENCES: u8 = 1;
+const CORRECTED: u8 = 2;
 
 /// The constants of pair sums.
 struct Pairs {
@@ -879,27 +1023,44 @@ struct Pairs {
 }
 
 impl Pairs {
-    /// Eqs. (2) and (3), or (6), over the liquid neighbours of `a`.
+    /// What the shares of all liquid amount to, beside the `gravity`.
+    fn rates<const D: usize>(&self, shares: &Share, gravity: Vector<D>) -> Rates<D> {
+        let (motion, [continuity, filling]) = (shares.motion.to_array(), shares.density);
+        Rates {
+            acceleration: gravity + self.mass * Vector::from_fn(|d, _| motion[d]),
+            continuity: self.mass * continuity,
+            diffusion: self.diffusion.of(self.volume * motion[LANES - 1]),
+            filling,
+            stiffness: 0.0,
+        }
+    }
+
+    /// Eq. (2) and (3), (4) or (6) of the pairs of liquid in the row of `a`, to both.
     #[inline]
-    fn add_liquid<const D: usize, const CORRECTED: bool>(
+    fn add_liquid<const D: usize, const FORM: u8>(
         &self,
         scheme: &Wcsph<D>,
         a: usize,
-        row: Row,
-        rates: &mut Rates<D>,
         excess: &impl Fn(&Wcsph<D>, usize, &[u32; LANES], &Block<D>) -> Lanes,
+        window: &mut Window<Share>,
     ) {
-        let (push_a, density_a) = (Lanes::splat(scheme.own_push(a)), Lanes::splat(scheme.density[a]));
-        let stress_a = if CORRECTED { scheme.own_push(a) * scheme.shape[a] } else { Matrix::zeros() };
-        let mut sums = Sums::<D>::default();
-        for (index, f) in row.blocks() {
-            let pair = Block::<D>::new(&scheme.records, a, &index);
+        let (push_a, density_a) = (Lanes::splat(scheme.push[a]), Lanes::splat(scheme.density[a]));
+        let stress_a = if FORM == CORRECTED { scheme.push[a] * scheme.shape[a] } else { Matrix::zeros() };
+        let mut own = Shares::<D>::default();
+        for (index, pair, f) in scheme.near().liquid(a) {
             let (approach, square) = (dot(&pair.v, &pair.r), dot(&pair.r, &pair.r));
             let viscous = self.viscosity.of(approach, square, 0.5 * (density_a + pair.density));
-            let central = if CORRECTED { viscous } else { push_a + pair.push + viscous };
+            let central = match FORM {
+                SUMS => push_a + pair.push + viscous,
+                DIFFERENCES => pair.push - push_a + viscous,
+                _ => viscous,
+            };
+            let diffusion = f * excess(scheme, a, &index, &pair);
+            let mut to_a =
+                Shares { diffusion, continuity: f * approach, filling: -f * square, ..Shares::default() };
             for d in 0..D {
                 let mut push = central * pair.r[d];
-                if CORRECTED {
+                if FORM == CORRECTED {
                     // (push_a S_a + push_b S_b) r, the part (6) has for the pressures of (3).
                     for e in 0..D {
                         let others = Lanes::new(index.map(|b| scheme.shape[b as usize][(d, e)]));
@@ -907,13 +1068,20 @@ impl Pairs {
                         push = stress.mul_add(pair.r[e], push);
                     }
                 }
-                sums.force[d] = f.mul_add(self.laminar * pair.v[d] - push, sums.force[d]);
+                to_a.force[d] = f * (self.laminar * pair.v[d] - push);
             }
-            sums.continuity = f.mul_add(approach, sums.continuity);
-            sums.diffusion = f.mul_add(excess(scheme, a, &index, &pair), sums.diffusion);
-            sums.filling = (-f).mul_add(square, sums.filling);
+            own.add(&to_a);
+            let mut to_b = Shares { force: to_a.force.map(|f| -f), diffusion: -diffusion, ..to_a };
+            if FORM == DIFFERENCES {
+                // The pressures push both the same way.
+                let pushes = 2.0 * (push_a - pair.push) * f;
+                to_b.force.iter_mut().zip(pair.r).for_each(|(force, r)| *force += pushes * r);
+            }
+            for (b, share) in index.into_iter().zip(to_b.each()) {
+                window.add(b as usize, share);
+            }
         }
-        sums.add_to(rates, self);
+        window.add(a, own.sum());
     }
 
     /// Eqs. (2) and (3) over walls that carry a pressure; where liquid slips, they exert no viscous force.
@@ -923,14 +1091,14 @@ impl Pairs {
         scheme: &Wcsph<D>,
         particles: &Particles<D>,
         a: usize,
-        row: Row,
         rates: &mut Rates<D>,
     ) {
-        let (r_a, push_a, density_a) = (particles.position[a], scheme.own_push(a), scheme.density[a]);
+        let (r_a, density_a) = (particles.position[a], scheme.density[a]);
+        let push_a = if scheme.takes_differences() { -scheme.push[a] } else { scheme.push[a] };
         let tension = scheme.has_surface && push_a < 0.0;
-        let mut sums = Sums::<D>::default();
-        for (index, f) in row.blocks() {
-            let pair = Block::<D>::new(&scheme.records, a, &index);
+        let mut force = [Lanes::splat(0.0); D];
+        let mut continuity = Lanes::splat(0.0);
+        for (index, pair, f) in scheme.near().solids(a) {
             let original = index.map(|b| particles.original(b as usize));
             let of_wall = |k: usize| {
                 let r_ab = r_a - particles.position[index[k] as usize];
@@ -945,11 +1113,12 @@ impl Pairs {
             let viscous = self.viscosity.of(wall * approach, square, Lanes::splat(density_a));
             let push = own + pair.push + viscous;
             for d in 0..D {
-                sums.force[d] += f * (self.laminar * wall * pair.v[d] - push * pair.r[d]);
+                force[d] += f * (self.laminar * wall * pair.v[d] - push * pair.r[d]);
             }
-            sums.continuity += f * approach;
+            continuity += f * approach;
         }
-        sums.add_to(rates, self);
+        rates.acceleration += self.mass * Vector::from_fn(|d, _| force[d].reduce_add());
+        rates.continuity += self.mass * continuity.reduce_add();
     }
 }
 
@@ -1047,10 +1216,13 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
             particles.pressure[fluid].fill(0.0);
         }
         let mut roofed = vec![false; particles.len()];
-        while self.ranks.any(hydrostatic(particles, &self.neighbors, &self.params, &mut roofed)) {
+        self.find_rows(particles);
+        let rows = std::mem::take(&mut self.rows);
+        while self.ranks.any(hydrostatic(particles, &rows, &self.params, &mut roofed)) {
             self.halo.share(particles, |particles| &mut particles.pressure);
             self.halo.refresh(particles.originals(), &mut roofed);
         }
+        drop(rows);
         self.densities(particles);
         self.assess(particles);
         self.pressures(particles);
@@ -1068,6 +1240,7 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
 
     fn set_state(&mut self, state: &[f64]) -> Option<()> {
         let &[acceleration, largest_variation, steps, has_surface] = state else { return None };
+        self.halo.forget_slabs();
         (self.acceleration, self.largest_variation) = (acceleration, largest_variation);
         (self.steps, self.has_surface) = (steps as u64, has_surface == 1.0);
         Some(())
@@ -1094,7 +1267,6 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
             crowding: &self.crowding,
             surface: &self.surface,
             active: &self.active,
-            neighbors: &self.neighbors,
             walls_carry_pressure: self.method.wall_pressure,
             wall_force: &self.wall_force,
         }

@@ -5,6 +5,7 @@ mod scenes;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use sphpetsc::case::build::{self, Scene};
+use sphpetsc::neighbors::{Layout, Neighbors};
 use sphpetsc::scheme::wcsph::Wcsph;
 use sphpetsc::simulation::{Simulation, StepControl};
 
@@ -19,8 +20,11 @@ fn step(criterion: &mut Criterion, smoothing_ratio: f64) {
         Simulation::new(particles, scheme, control, enclosure, params.gravity, params.support());
     simulation.start().expect("a pressure");
     simulation.advance().expect("a step");
-    let neighbors = simulation.scheme.fields().neighbors;
-    let pairs: usize = simulation.particles.fluid().map(|a| neighbors.row(a).index.len()).sum();
+    let particles = &simulation.particles;
+    let liquid = |a| if particles.fluid().contains(&a) { f64::NEG_INFINITY } else { f64::INFINITY };
+    let (h, mut neighbors) = (params.smoothing_length(), Neighbors::default());
+    neighbors.search(params.kernel, h, &particles.position, &Layout::of(particles), liquid);
+    let pairs = neighbors.pairs();
     let mut group = criterion.benchmark_group("wcsph");
     group.throughput(Throughput::Elements(pairs as u64));
     group.bench_function(format!("h_over_dx_{smoothing_ratio}"), |bencher| {
