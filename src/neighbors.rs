@@ -650,11 +650,11 @@ mod tests {
                 liquid[b as usize].push((a as u32, f));
             }
         }
-        for a in 0..owned {
-            liquid[a].sort_by_key(|(b, _)| *b);
+        for (a, liquid) in liquid.iter_mut().enumerate().take(owned) {
+            liquid.sort_by_key(|(b, _)| *b);
             match a < first {
                 true => assert_eq!(pairs(full.row(a)), pairs(once.row(a)), "solids see all"),
-                false => assert_eq!(pairs(full.row(a).split().0), liquid[a]),
+                false => assert_eq!(pairs(full.row(a).split().0), *liquid),
             }
         }
     }

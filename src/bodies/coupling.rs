@@ -71,14 +71,14 @@ struct Patch<const D: usize> {
 }
 
 /// Displacement of a point at `arm` for a unit along or about axis `k`.
-fn mode(k: usize, arm: &Point) -> Point {
+pub(super) fn mode(k: usize, arm: &Point) -> Point {
     let mut axis = Point::zeros();
     axis[k % 3] = 1.0;
     if k < 3 { axis } else { axis.cross(arm) }
 }
 
 /// A force at `arm` from the centre as forces along and torques about the axes.
-fn generalised(force: &Point, arm: &Point) -> [f64; 6] {
+pub(super) fn generalised(force: &Point, arm: &Point) -> [f64; 6] {
     let torque = arm.cross(force);
     [force.x, force.y, force.z, torque.x, torque.y, torque.z]
 }
@@ -124,8 +124,11 @@ impl<const D: usize> Bodies<D> {
                 break;
             }
         }
+        let drag = |b: usize| Point::from_column_slice(&self.drag_on(b, &unknowns, q.as_slice(), dt)[..3]);
+        let drags: Vec<Point> = (0..self.list.len()).map(drag).collect();
         for (b, body) in self.list.iter_mut().enumerate() {
             let mine = unknowns.iter().zip(q.iter()).filter(|((owner, _), _)| *owner == b);
+            body.state.loads.viscous = drags[b];
             body.state.hits = [Point::zeros(); 2];
             body.settle(&force[b], mine.map(|((_, k), q)| (*k, *q)), regimes[b], &flow.gravity, dt);
             if let Motion::Prescribed(rows) = &body.motion {
@@ -261,13 +264,25 @@ impl<const D: usize> Bodies<D> {
             let hits = body.state.hits.iter().flatten();
             force.iter_mut().zip(hits).for_each(|(force, impulse)| *force += impulse / dt);
         }
-        let slope = DMatrix::from_column_slice(unknowns.len(), unknowns.len(), slopes);
-        let Some(excess) = self.negative_added_mass(unknowns, &slope) else { return (force, slope) };
-        let pull = &excess * q;
-        for (&(b, k), pull) in unknowns.iter().zip(pull.iter()) {
-            force[b][k] -= pull;
+        let mut slope = DMatrix::from_column_slice(unknowns.len(), unknowns.len(), slopes);
+        if let Some(excess) = self.negative_added_mass(unknowns, &slope) {
+            let pull = &excess * q;
+            for (&(b, k), pull) in unknowns.iter().zip(pull.iter()) {
+                force[b][k] -= pull;
+            }
+            slope -= excess;
         }
-        (force, slope - excess)
+        for (b, force) in force.iter_mut().enumerate() {
+            let drag = self.drag_on(b, unknowns, q.as_slice(), dt);
+            force.iter_mut().zip(drag).for_each(|(force, drag)| *force += drag);
+        }
+        for (i, &(b, k)) in unknowns.iter().enumerate() {
+            let Some(drag) = self.drags.get(b) else { continue };
+            for (l, &(_, m)) in unknowns.iter().enumerate().filter(|(_, (c, _))| *c == b) {
+                slope[(i, l)] -= drag.resistance(k, m, dt);
+            }
+        }
+        (force, slope)
     }
 
     /// Minus the negative part of the added mass, given the derivatives of the forces by q; none if there is none.

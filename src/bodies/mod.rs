@@ -6,7 +6,7 @@
 //! m dv/dt = F + f + m g + push,   dL/dt = T,   L = I w,   dx/dt = v,   dR/dt = w x R                (1)
 //!
 //! F and T are force and torque of the liquid, the surface integral of its pressure over the faces of the wall cells as in
-//! [`crate::output::forces`] and the impulse of particles that hit the body ([`crate::terms::collision`]), f friction ([`friction`]) and contact. Any component of v and w may be locked: it stays zero. A point
+//! [`crate::output::forces`], the viscous force of liquid that sticks to it ([`drag`]) and the impulse of particles that hit it ([`crate::terms::collision`]), f friction ([`friction`]) and contact. Any component of v and w may be locked: it stays zero. A point
 //! at s from the centre moves with, and is accelerated by,
 //!
 //! u = v + w x s,   a = dv/dt + dw/dt x s + w x (w x s)                                             (2)
@@ -26,6 +26,7 @@
 
 pub mod contact;
 pub mod coupling;
+pub mod drag;
 pub mod friction;
 
 use crate::form::{Form, Point, Surface, point};
@@ -34,6 +35,7 @@ use crate::neighbors::Neighbors;
 use crate::parallel::Ranks;
 use crate::particles::{Particles, Vector};
 use contact::Surroundings;
+use drag::Drag;
 use friction::Friction;
 use rayon::prelude::*;
 use std::collections::HashSet;
@@ -55,6 +57,8 @@ pub struct Bodies<const D: usize> {
     pub strong: bool,
     spacing: f64,
     surroundings: Surroundings,
+    /// Viscous force of the present step on each, where liquid sticks to them.
+    drags: Vec<Drag>,
     /// Body of each solid particle, or [`NO_BODY`].
     owner: Vec<u32>,
     /// For each dummy: the wall particle right before it.
@@ -109,6 +113,8 @@ pub struct Loads {
     pub liquid: Point,
     /// Torque of the liquid.
     pub torque: Point,
+    /// What of the force of the liquid is viscous.
+    pub viscous: Point,
     /// Friction on the floor that a sliding body moves over.
     pub friction: Point,
     /// Force of other solids in contact, their friction included.
@@ -231,7 +237,16 @@ impl<const D: usize> Bodies<D> {
         let bodies = plans.into_iter().zip(cells);
         let list = bodies.map(|(plan, cells)| Body::new(plan, &cells, particles, spacing)).collect();
         let ties = particles.tie.clone();
-        Self { list, time: 0.0, strong, spacing, surroundings: Surroundings::default(), owner, ties }
+        Self {
+            list,
+            time: 0.0,
+            strong,
+            spacing,
+            surroundings: Surroundings::default(),
+            drags: vec![],
+            owner,
+            ties,
+        }
     }
 
     /// Lets bodies touch walls and boxes.
@@ -437,6 +452,7 @@ impl<const D: usize> Bodies<D> {
                 s.hits[1],
                 s.expected[0],
                 s.expected[1],
+                s.loads.viscous,
             ];
             let numbers = s.rotation.iter().copied().collect::<Vec<f64>>().into_iter();
             numbers.chain(vectors.into_iter().flat_map(|v| [v.x, v.y, v.z])).collect::<Vec<_>>()
@@ -446,7 +462,7 @@ impl<const D: usize> Bodies<D> {
 
     /// Takes back a [`state`](Self::state); `None` if it is not one.
     pub fn set_state(&mut self, numbers: &[f64]) -> Option<()> {
-        const WIDTH: usize = 9 + 15 * 3;
+        const WIDTH: usize = 9 + 16 * 3;
         let (time, rest) = numbers.split_first()?;
         if rest.len() != WIDTH * self.list.len() {
             return None;
@@ -468,6 +484,7 @@ impl<const D: usize> Bodies<D> {
                     friction: vector(8),
                     contact: vector(9),
                     contact_torque: vector(10),
+                    viscous: vector(15),
                 },
                 hits: [vector(11), vector(12)],
                 expected: [vector(13), vector(14)],

@@ -1212,7 +1212,7 @@ impl Proof<'_> {
             history.into_iter().chain(probes.iter().flat_map(|probe| probe.columns(*dimension))).collect();
         let columns = [
             columns,
-            bodies::force_columns(self.case.bodies.iter().map(|body| body.name.as_str()), *dimension),
+            bodies::force_columns(self.case),
             bodies::columns(self.case.bodies.iter().map(|body| body.name.as_str()), *dimension),
         ]
         .concat();

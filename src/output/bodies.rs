@@ -9,7 +9,7 @@ use super::table::{Cell, Table};
 use super::vtk::{Polygons, Pvd, write_polygons};
 use crate::Result;
 use crate::bodies::{Bodies, Body};
-use crate::case::{CaseFile, axes};
+use crate::case::{CaseFile, Slip, axes};
 use crate::form::{Point, point};
 use crate::simulation::Simulation;
 use std::path::Path;
@@ -19,16 +19,20 @@ fn turns(dimension: usize) -> impl Iterator<Item = &'static str> {
     ["x", "y", "z"].into_iter().skip(if dimension == 2 { 2 } else { 0 })
 }
 
-/// Columns of forces.csv on the bodies with these names.
-pub fn force_columns<'a>(names: impl Iterator<Item = &'a str>, dimension: usize) -> Vec<String> {
+/// Columns of forces.csv on the bodies of `case`; viscous ones where liquid sticks to them.
+pub fn force_columns(case: &CaseFile) -> Vec<String> {
+    let dimension = case.dimension;
+    let sticks = case.tank.as_ref().is_some_and(|tank| tank.slip == Slip::None);
     let of = |name: &str| {
         let along =
             |what: &str| axes(dimension).map(|axis| format!("{name}_{what}{axis}_n")).collect::<Vec<_>>();
         let about =
             |what: &str| turns(dimension).map(|axis| format!("{name}_{what}_{axis}_nm")).collect::<Vec<_>>();
-        [along(""), about("torque"), along("friction_"), along("contact_"), about("contact_torque")].concat()
+        let viscous = if sticks { along("viscous_") } else { vec![] };
+        [along(""), about("torque"), viscous, along("friction_"), along("contact_"), about("contact_torque")]
+            .concat()
     };
-    names.flat_map(of).collect()
+    case.bodies.iter().flat_map(|body| of(&body.name)).collect()
 }
 
 /// Columns of bodies.csv after the time.
@@ -62,12 +66,13 @@ fn about<const D: usize>(v: &Point) -> Vec<f64> {
 }
 
 /// Values of [`force_columns`].
-pub fn forces<const D: usize>(bodies: &Bodies<D>) -> Vec<f64> {
+pub fn forces<const D: usize>(bodies: &Bodies<D>, slip: Slip) -> Vec<f64> {
     let of = |body: &Body<D>| {
         let loads = &body.state.loads;
         [
             along::<D>(&loads.liquid),
             about::<D>(&loads.torque),
+            if slip == Slip::None { along::<D>(&loads.viscous) } else { vec![] },
             along::<D>(&loads.friction),
             along::<D>(&loads.contact),
             about::<D>(&loads.contact_torque),

@@ -180,11 +180,10 @@ impl Probes {
             let kind = case.probes.iter().filter(|probe| matches!(probe, Probe::Force { .. }) == forces);
             kind.flat_map(|probe| probe.columns(case.dimension)).collect()
         };
-        let names = case.bodies.iter().map(|body| body.name.as_str());
         let table = |name: &str, columns: Vec<String>| {
             (!columns.is_empty()).then(|| open(folder, name, columns, since)).transpose()
         };
-        let on_bodies = bodies::force_columns(names, case.dimension);
+        let on_bodies = bodies::force_columns(case);
         Ok(Self {
             gauges: table("probes.csv", columns_of(false))?,
             forces: table("forces.csv", [columns_of(true), on_bodies].concat())?,
@@ -204,7 +203,8 @@ impl Probes {
         }
         if let Some(table) = &mut self.forces {
             let on_walls = readings.forces.iter().flat_map(|force| force.iter().copied());
-            let all = on_walls.chain(bodies::forces(simulation.scheme.bodies()));
+            let (all, slip) = (simulation.scheme.bodies(), simulation.scheme.params().slip);
+            let all = on_walls.chain(bodies::forces(all, slip));
             table.row(&time.into_iter().chain(all.map(Cell::Number)).collect::<Vec<_>>())?;
         }
         Ok(())

@@ -3,7 +3,8 @@
 //! One step from t^n to t^(n+1), with one neighbour search, at the drifted positions r*:
 //!
 //! 1. drift      r* = r^n + dt v^n
-//! 2. predict    v* = v^n + dt (g + nu laplacian v^n), with laplacian v* where steps are long: [`crate::terms::implicit_viscosity`]
+//! 2. predict    v* = v^n + dt (g + nu laplacian v^n); where steps are too long for that, nu laplacian v^(n+1) comes after 4:
+//!    [`crate::terms::implicit_viscosity`]
 //! 3. pressure   div((1/rho) grad p) = div v* / dt + ...          Eq. (3) of Jian et al. and [`crate::ppe::source`]
 //! 4. correct    v^(n+1) = v* - (dt / rho) grad p,   r^(n+1) = r* + (dt / 2) (v^(n+1) - v^n)
 //! 5. shift      r^(n+1) += dr                                     [`crate::terms::shifting`]
@@ -21,7 +22,7 @@ use super::{
 use crate::bodies::Bodies;
 use crate::bodies::coupling::Flow;
 use crate::boundary::{DummyWalls, kinematic};
-use crate::case::LaplacianKind;
+use crate::case::{LaplacianKind, Slip};
 use crate::halo::Halo;
 use crate::kernel::LatticeSums;
 use crate::neighbors::{Layout, Neighbors};
@@ -35,7 +36,7 @@ use crate::terms::collision::Collisions;
 use crate::terms::implicit_viscosity::{self, VelocitySolve};
 use crate::terms::shifting::Shifting;
 use crate::terms::surface;
-use crate::terms::viscosity::Form;
+use crate::terms::viscosity::{Form, Pair};
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::path::Path;
@@ -222,34 +223,68 @@ impl<const D: usize> Isph<D> {
         self.halo.refresh(particles.originals(), &mut self.crowding);
     }
 
-    /// v* of liquid and walls.
-    fn predict(&mut self, particles: &Particles<D>, dt: f64) -> Result<()> {
+    /// v* of liquid and walls, but for viscosity beyond the explicit limit, which is for [`resist`](Self::resist).
+    fn predict(&mut self, particles: &Particles<D>, dt: f64) {
         let Params { gravity, kinematic_viscosity: nu, slip, .. } = self.params;
-        let moments = &self.moments;
+        let (moments, form) = (&self.moments, self.viscous_form());
         let surroundings = self.support.around(particles);
         let (solids, owned) = (particles.solids(), particles.owned());
-        let form = match self.has_surface {
-            true => Form::Central { moment: self.lattice.laplacian },
-            false => Form::TwoPoint,
-        };
-        let is_implicit = dt > explicit_viscosity_limit(&self.params);
+        let is_explicit = nu > 0.0 && !self.is_stiff(dt);
         self.predicted.resize(particles.len(), Vector::zeros());
         self.predicted[..owned].par_iter_mut().enumerate().with_min_len(512).for_each(|(a, v)| {
             *v = particles.velocity[a] + dt * gravity;
-            if nu > 0.0 && !is_implicit && a >= solids {
+            if is_explicit && a >= solids {
                 *v += dt * nu * form.laplacian(&surroundings, particles, &moments[a], a, slip);
             }
         });
-        if is_implicit {
-            let Self { velocities, halo, predicted, .. } = self;
-            velocities.assemble(particles, &surroundings, moments, form, slip, halo, predicted, dt * nu);
-            self.velocity_solver.solve(&mut velocities.system)?;
-            for (v, new) in predicted[solids..owned].iter_mut().zip(velocities.velocities()) {
-                *v = new;
-            }
-        }
         self.halo.refresh(particles.originals(), &mut self.predicted);
+    }
+
+    /// Whether viscosity is too large for explicit steps of `dt` s.
+    fn is_stiff(&self, dt: f64) -> bool {
+        dt > explicit_viscosity_limit(&self.params)
+    }
+
+    fn viscous_form(&self) -> Form {
+        match self.has_surface {
+            true => Form::Central { moment: self.lattice.laplacian },
+            false => Form::TwoPoint,
+        }
+    }
+
+    /// Viscosity from the end of the step, see [`implicit_viscosity`].
+    fn resist(&mut self, particles: &mut Particles<D>, dt: f64) -> Result<()> {
+        let (nu, slip, form) = (self.params.kinematic_viscosity, self.params.slip, self.viscous_form());
+        self.halo.share(particles, |particles| &mut particles.velocity);
+        let surroundings = self.support.around(particles);
+        self.velocities.assemble(particles, &surroundings, &self.moments, form, slip, &self.halo, dt * nu);
+        self.velocity_solver.solve(&mut self.velocities.system)?;
+        let fluid = particles.fluid();
+        let mut largest = 0.0_f64;
+        let changed = particles.velocity[fluid].iter_mut().zip(&self.change);
+        for ((v, (change, new)), solved) in changed.zip(self.velocities.velocities()) {
+            *v = solved;
+            largest = largest.max((solved - new + change).norm_squared());
+        }
+        self.acceleration = self.ranks.max(largest.sqrt() / dt);
         Ok(())
+    }
+
+    /// Lets bodies feel what viscosity does to the liquid at the velocities of the last step.
+    fn drag(&mut self, particles: &Particles<D>) {
+        let Params { kinematic_viscosity: nu, slip, .. } = self.params;
+        if nu == 0.0 || slip != Slip::None || self.afloat.bodies.is_empty() {
+            return;
+        }
+        let (form, surroundings) = (self.viscous_form(), self.support.around(particles));
+        let (moments, velocity) = (&self.moments, &particles.velocity);
+        let beside_solids = particles.fluid().filter(|a| self.support.neighbors.has_solids(*a));
+        let pairs = beside_solids.flat_map(|a| {
+            let of_solids =
+                form.pairs(&surroundings, particles, &moments[a], a, slip).filter(|pair| pair.is_solid);
+            of_solids.map(move |pair| (Pair { coefficient: nu * pair.coefficient, ..pair }, velocity[a]))
+        });
+        self.afloat.bodies.feel_drag(particles, self.params.mass(), &self.ranks, pairs);
     }
 
     /// The source of every pressure row.
@@ -464,13 +499,15 @@ impl<const D: usize> Scheme<D> for Isph<D> {
             self.wall_force.clear();
             self.wall_force.resize(particles.walls().len(), Vector::zeros());
         }
-        let predicted = watch.time("predict", || self.predict(particles, dt));
+        watch.time("predict", || {
+            self.drag(particles);
+            self.predict(particles, dt);
+        });
         watch.time("assemble", || {
             self.find_source(particles, dt);
             self.assemble(particles);
         });
-        let solved =
-            watch.time("solve", || predicted.and_then(|()| self.solver.solve(&mut self.assembler.system)));
+        let solved = watch.time("solve", || self.solver.solve(&mut self.assembler.system));
         // Where PETSc works all ranks wait for each other: what each did goes by its rows.
         let rows = (self.assembler.particle_of.len() * self.params.ranks.count()) as f64;
         let share = solved.as_ref().map_or(1.0, |record| rows / record.unknowns.max(1) as f64);
@@ -482,6 +519,16 @@ impl<const D: usize> Scheme<D> for Isph<D> {
                 report.clipped = self.take_pressure(particles);
                 self.correct(particles, dt);
                 self.afloat.arrive(particles, dt);
+            }
+        });
+        let solved = solved.and_then(|record| {
+            if self.is_stiff(dt) {
+                watch.time("viscosity", || self.resist(particles, dt))?;
+            }
+            Ok(record)
+        });
+        watch.time("correct", || {
+            if solved.is_ok() {
                 report.collisions = self.collide(particles);
                 self.finish_positions(particles, dt);
             }
@@ -506,7 +553,7 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         self.depart(particles, dt);
         self.survey(particles);
         self.has_surface = self.ranks.max(self.surface.iter().copied().fold(0.0, f64::max)) > 0.0;
-        self.predict(particles, dt)?;
+        self.predict(particles, dt);
         self.find_source(particles, dt);
         self.assemble(particles);
         self.solver.check(&self.assembler.system)?;

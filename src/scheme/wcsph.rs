@@ -132,7 +132,8 @@ use crate::terms::artificial_viscosity::ArtificialViscosity;
 use crate::terms::density_diffusion::DensityDiffusion;
 use crate::terms::shifting::Shifting;
 use crate::terms::state_equation::Tait;
-use crate::terms::{surface, viscosity};
+use crate::terms::surface;
+use crate::terms::viscosity::{self, Pair};
 use rayon::prelude::*;
 use std::ops::{Add, AddAssign};
 use std::path::Path;
@@ -715,6 +716,20 @@ impl<const D: usize> Wcsph<D> {
             return;
         }
         self.push_walls(particles);
+        if self.params.slip == Slip::None && self.method.wall_pressure {
+            let terms = self.pairs();
+            let Self { neighbors, records, density, afloat, ranks, params, .. } = self;
+            let (particles, terms, records) = (&*particles, &terms, &*records);
+            let beside_solids = particles.fluid().filter(|a| neighbors.has_solids(*a));
+            let pairs = beside_solids.flat_map(|a| {
+                let (v_a, density_a) = (records[a].velocity(), density[a]);
+                neighbors.row(a).split().1.iter().flat_map(move |(b, _, f)| {
+                    let v_ab = v_a - records[b].velocity();
+                    terms.grip(particles, (a, b), f, &v_ab, density_a).map(|pair| (pair, v_a))
+                })
+            });
+            afloat.bodies.feel_drag(particles, params.mass(), ranks, pairs);
+        }
         let flow = Flow {
             particles,
             active: &self.active,
@@ -845,6 +860,10 @@ impl Record {
             Lanes::new(lanes)
         };
         Self { place: with(r, density), motion: with(v, push) }
+    }
+
+    fn velocity<const D: usize>(&self) -> Vector<D> {
+        Vector::from_column_slice(&self.motion.to_array()[..D])
     }
 }
 
@@ -1084,6 +1103,27 @@ impl Pairs {
         window.add(a, own.sum());
     }
 
+    /// What viscosity does to liquid `a` at solid `b`, as [`add_walls`](Self::add_walls) has it: along the line between them, and in the
+    /// direction of v_ab.
+    fn grip<const D: usize>(
+        &self,
+        particles: &Particles<D>,
+        (a, b): (usize, usize),
+        f: f64,
+        v_ab: &Vector<D>,
+        density_a: f64,
+    ) -> [Pair<D>; 2] {
+        let r_ab = particles.position[a] - particles.position[b];
+        let wall = viscosity::wall_factor(particles, particles.original(b), &r_ab, self.slip);
+        let (approach, square) = (wall * v_ab.dot(&r_ab), r_ab.norm_squared());
+        let [approaches, squares, density] = [approach, square, density_a].map(Lanes::splat);
+        let [viscous, ..] = self.viscosity.of(approaches, squares, density).to_array();
+        let along = if approach == 0.0 { 0.0 } else { -viscous * wall * square / approach };
+        let pair =
+            |rate: f64, line| Pair { with: b, is_solid: true, coefficient: self.mass * f * rate, line };
+        [pair(along, Some(r_ab / square.sqrt())), pair(self.laminar * wall, None)]
+    }
+
     /// Eqs. (2) and (3) over walls that carry a pressure; where liquid slips, they exert no viscous force.
     #[inline]
     fn add_walls<const D: usize>(
@@ -1112,8 +1152,8 @@ impl Pairs {
             let (approach, square) = (dot(&pair.v, &pair.r), dot(&pair.r, &pair.r));
             let viscous = self.viscosity.of(wall * approach, square, Lanes::splat(density_a));
             let push = own + pair.push + viscous;
-            for d in 0..D {
-                force[d] += f * (self.laminar * wall * pair.v[d] - push * pair.r[d]);
+            for (force, (v, r)) in force.iter_mut().zip(pair.v.into_iter().zip(pair.r)) {
+                *force += f * (self.laminar * wall * v - push * r);
             }
             continuity += f * approach;
         }

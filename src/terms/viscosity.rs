@@ -60,7 +60,7 @@ pub struct Pair<const D: usize> {
     /// In 1/m2, negative.
     pub coefficient: f64,
     /// P projects on this unit vector; without one it is the identity.
-    line: Option<Vector<D>>,
+    pub line: Option<Vector<D>>,
 }
 
 impl<const D: usize> Pair<D> {
