@@ -208,7 +208,7 @@ impl<const D: usize> Invariants<D> {
             fields.surface.get(a).is_some_and(|s| *s <= 0.0)
                 && fields.crowding.get(a).is_some_and(|c| *c > 0.0)
         };
-        let (layout, fluid) = (Layout::of(particles), particles.fluid());
+        let (layout, fluid) = (Layout::of(particles).with_solids_blind_to_solids(), particles.fluid());
         let mut neighbors = Neighbors::default();
         for part in fluid.clone().step_by(fluid.len().div_ceil(PARTS).max(1)) {
             let part = part..(part + fluid.len().div_ceil(PARTS)).min(fluid.end);

@@ -2,8 +2,8 @@
 //! kernel factors of each pair: F, and W where it is asked for.
 //!
 //! A pair (a, b) is listed in row a if 0 < |r_a - r_b| < support, and in row b unless pairs of liquid are asked for once
-//! ([`crate::pair_sums`]). Each row holds its liquid neighbours, ghosts behind the others, then its solid ones, each in cell order;
-//! the result does not depend on the number of threads.
+//! ([`crate::pair_sums`]; ghosts then stand behind the other liquid). Each row holds its liquid neighbours, then its solid ones, both in cell order; the
+//! result does not depend on the number of threads.
 
 use crate::kernel::{CubicSpline, Kernel, KernelKind, Quintic, Smoothing, WendlandC2};
 use crate::particles::{Particles, Vector};
@@ -227,7 +227,7 @@ pub struct Neighbors<const D: usize> {
     chunks: Vec<Chunk>,
     solid_cells: CellList<D>,
     fluid_cells: CellList<D>,
-    /// Ghosts of fluid.
+    /// Ghosts of fluid, where pairs of liquid are listed once.
     ghost_cells: CellList<D>,
 }
 
@@ -416,8 +416,9 @@ impl<const D: usize> Neighbors<D> {
         let near = solids.chain(solid_ghosts).filter(|&a| solids_see_solids || is_inside(&position[a]));
         let grid = Grid::covering((min, max), position.len(), support);
         self.solid_cells.sort(&grid, near, position);
-        self.fluid_cells.sort(&grid, fluid.clone(), position);
-        self.ghost_cells.sort(&grid, ghosts, position);
+        let (with_fluid, apart) = if liquid_once { (0..0, ghosts) } else { (ghosts, 0..0) };
+        self.fluid_cells.sort(&grid, fluid.chain(with_fluid), position);
+        self.ghost_cells.sort(&grid, apart, position);
         self.chunks.resize_with(count.div_ceil(CHUNK), Chunk::default);
         let Self { chunks, solid_cells, fluid_cells, ghost_cells } = self;
         let search = Search { smoothing, limit: support * support };
@@ -442,7 +443,7 @@ impl<const D: usize> Neighbors<D> {
                         false => 0,
                     };
                     end = pairs.find(end, (a, r_a), (fluid_cells, near_liquid, after), &search, keeps);
-                    if is_liquid {
+                    if liquid_once && is_liquid {
                         let own = pairs.index[before..end].iter();
                         let (first, last) =
                             own.fold((u32::MAX, 0), |(first, last), &b| (first.min(b), last.max(b)));
@@ -462,7 +463,7 @@ impl<const D: usize> Neighbors<D> {
         });
     }
 
-    /// The fluid in chunks of rows, each with the fluid that appears in it, but for ghosts.
+    /// The fluid in chunks of rows, each with the fluid that appears in it, but for ghosts; where pairs of liquid are listed once.
     pub(crate) fn spans(&self) -> impl Iterator<Item = (Range<usize>, Range<usize>)> {
         self.chunks.iter().enumerate().map(|(c, chunk)| {
             let rows = c * CHUNK..c * CHUNK + chunk.liquid.len();
@@ -490,7 +491,7 @@ impl<const D: usize> Neighbors<D> {
         chunk.start[k] + (chunk.liquid[k] as usize) < chunk.start[k + 1]
     }
 
-    /// Number of listed pairs (each direction counted).
+    /// Number of listed pairs: each direction counts, where it is listed.
     pub fn pairs(&self) -> usize {
         self.chunks.iter().filter_map(|chunk| chunk.start.last()).sum()
     }

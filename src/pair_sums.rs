@@ -13,8 +13,8 @@ use std::ops::{AddAssign, Range};
 
 /// Most groups. Windows of more would overlap more.
 const GROUPS: usize = 16;
-/// Least rows of a group: of fewer a window is mostly others'.
-const LEAST: usize = 4096;
+/// Least rows of a group: of fewer a window is mostly others', and a task not worth its start.
+const LEAST: usize = 1024;
 /// Sums that are added up at once.
 const BLOCK: usize = 512;
 
@@ -68,7 +68,7 @@ impl<T: Copy + AddAssign + Send + Sync> PairSums<T> {
         fluid: Range<usize>,
         row: impl Fn(usize, &mut Window<T>) + Sync,
     ) -> &[T] {
-        let least = LEAST.max(fluid.len().div_ceil(GROUPS));
+        let least = fluid.len().div_ceil((fluid.len() / LEAST).clamp(1, GROUPS));
         let mut groups = 0;
         for (rows, span) in neighbors.spans() {
             let rows = rows.start.max(fluid.start)..rows.end;

@@ -37,15 +37,15 @@ impl Drag {
 }
 
 impl<const D: usize> Bodies<D> {
-    /// Takes in Eq. (1) of a step: all that give pairs, with coefficients in 1/s for liquid of that velocity in m/s, between liquid of this rank and
-    /// any solids. `mass` is that of a particle in kg.
-    pub fn feel_drag(
-        &mut self,
+    /// Eq. (1) on each body from `pairs` of this rank's liquid, of that velocity in m/s, and solids, with coefficients in 1/s; those of tank walls
+    /// count for nothing. All ranks ask together. `mass` is that of a particle in kg.
+    pub fn drag(
+        &self,
         particles: &Particles<D>,
         mass: f64,
         ranks: &Ranks,
         pairs: impl Iterator<Item = (Pair<D>, Vector<D>)>,
-    ) {
+    ) -> Vec<Drag> {
         let mut drags = vec![Drag::default(); self.list.len()];
         for (pair, velocity) in pairs {
             let b = particles.original(pair.with);
@@ -71,7 +71,7 @@ impl<const D: usize> Bodies<D> {
             let places = drag.force.iter_mut().chain(drag.resistance.as_flattened_mut());
             places.zip(sums).for_each(|(place, sum)| *place = *sum);
         }
-        self.drags = drags;
+        drags
     }
 
     /// Viscous force and torque on body `b` at accelerations q of the `unknowns` after `dt` s.

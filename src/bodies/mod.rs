@@ -58,7 +58,7 @@ pub struct Bodies<const D: usize> {
     spacing: f64,
     surroundings: Surroundings,
     /// Viscous force of the present step on each, where liquid sticks to them.
-    drags: Vec<Drag>,
+    pub drags: Vec<Drag>,
     /// Body of each solid particle, or [`NO_BODY`].
     owner: Vec<u32>,
     /// For each dummy: the wall particle right before it.

@@ -1,7 +1,7 @@
 //! What a run writes of its bodies: bodies.csv, their columns of forces.csv, and their surfaces as VTK polygons.
 //!
 //! A row tells the state after a step and the forces and accelerations of that step, so that Eq. (1) of [`crate::bodies`] can be
-//! checked against it. In 2D forces, torques and masses are those of 1 m of width.
+//! checked against it; the viscous part of the liquid's force, where liquid sticks, has columns of its own. In 2D forces, torques and masses are those of 1 m of width.
 
 use super::folder::RunFolder;
 use super::observers::{Schedule, open};

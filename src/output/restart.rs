@@ -75,6 +75,7 @@ pub fn restore<const D: usize>(simulation: &mut Simulation<D>, reader: &Reader) 
         simulation.scheme.bodies().clone().place(&mut simulation.particles, true);
     }
     simulation.share_out();
+    simulation.scheme.halo_mut().forget_slabs();
     simulation.feel_last_step();
     simulation.scheme.set_state(reader.f64("scheme")?).ok_or_else(foreign)
 }

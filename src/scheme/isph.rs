@@ -284,7 +284,7 @@ impl<const D: usize> Isph<D> {
                 form.pairs(&surroundings, particles, &moments[a], a, slip).filter(|pair| pair.is_solid);
             of_solids.map(move |pair| (Pair { coefficient: nu * pair.coefficient, ..pair }, velocity[a]))
         });
-        self.afloat.bodies.feel_drag(particles, self.params.mass(), &self.ranks, pairs);
+        self.afloat.bodies.drags = self.afloat.bodies.drag(particles, self.params.mass(), &self.ranks, pairs);
     }
 
     /// The source of every pressure row.
@@ -523,7 +523,9 @@ impl<const D: usize> Scheme<D> for Isph<D> {
         });
         let solved = solved.and_then(|record| {
             if self.is_stiff(dt) {
-                watch.time("viscosity", || self.resist(particles, dt))?;
+                let resisted = watch.time("viscosity", || self.resist(particles, dt));
+                watch.was_shared(share);
+                resisted?;
             }
             Ok(record)
         });
@@ -571,7 +573,6 @@ impl<const D: usize> Scheme<D> for Isph<D> {
 
     fn set_state(&mut self, state: &[f64]) -> Option<()> {
         let &[acceleration, steps, has_surface] = state else { return None };
-        self.halo.forget_slabs();
         (self.acceleration, self.steps, self.has_surface) = (acceleration, steps as u64, has_surface == 1.0);
         Some(())
     }
@@ -582,6 +583,10 @@ impl<const D: usize> Scheme<D> for Isph<D> {
 
     fn halo(&self) -> &Halo<D> {
         &self.halo
+    }
+
+    fn halo_mut(&mut self) -> &mut Halo<D> {
+        &mut self.halo
     }
 
     fn set_gravity(&mut self, gravity: Vector<D>) {

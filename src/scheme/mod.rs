@@ -288,6 +288,9 @@ pub trait Scheme<const D: usize> {
     /// Ghosts, and who holds which particle.
     fn halo(&self) -> &Halo<D>;
 
+    /// The same, to be told that the liquid is another.
+    fn halo_mut(&mut self) -> &mut Halo<D>;
+
     /// What the last step knows about each particle beside its state.
     fn fields(&self) -> Fields<'_, D>;
 

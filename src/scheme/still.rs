@@ -118,6 +118,10 @@ impl<const D: usize> Scheme<D> for Still<D> {
         &self.halo
     }
 
+    fn halo_mut(&mut self) -> &mut Halo<D> {
+        &mut self.halo
+    }
+
     fn set_gravity(&mut self, gravity: Vector<D>) {
         self.params.gravity = gravity;
     }

@@ -9,7 +9,7 @@
 //! with the artificial viscosity Pi of [`crate::terms::artificial_viscosity`]. Forces of a pair are opposite and equal, and
 //! (2) and (3) are each other's adjoint: together they keep momentum, and energy but for the viscosity.
 //!
-//! All three sums take each pair of liquid once, for both ([`crate::pair_sums`]). Only shifting, (7) and the slopes of Antuono et al. want whole
+//! All sums over liquid take each pair once, for both ([`crate::pair_sums`]). Only shifting, (7), the slopes of Antuono et al. and the start want whole
 //! rows, a second search.
 //!
 //! The laminar viscosity, of the form that [`crate::terms::viscosity`] gives the scene, adds to (3). Ghosts beyond periodic sides
@@ -356,7 +356,8 @@ impl<const D: usize> Wcsph<D> {
         let first = particles.solids();
         let liquid = |a| if a < first { f64::INFINITY } else { f64::NEG_INFINITY };
         let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
-        self.rows.search(kernel, h, &particles.position, &Layout::of(particles), liquid);
+        let layout = Layout::of(particles).with_solids_blind_to_solids();
+        self.rows.search(kernel, h, &particles.position, &layout, liquid);
     }
 
     fn around<'a>(&'a self, particles: &'a Particles<D>) -> Surroundings<'a, D> {
@@ -717,18 +718,7 @@ impl<const D: usize> Wcsph<D> {
         }
         self.push_walls(particles);
         if self.params.slip == Slip::None && self.method.wall_pressure {
-            let terms = self.pairs();
-            let Self { neighbors, records, density, afloat, ranks, params, .. } = self;
-            let (particles, terms, records) = (&*particles, &terms, &*records);
-            let beside_solids = particles.fluid().filter(|a| neighbors.has_solids(*a));
-            let pairs = beside_solids.flat_map(|a| {
-                let (v_a, density_a) = (records[a].velocity(), density[a]);
-                neighbors.row(a).split().1.iter().flat_map(move |(b, _, f)| {
-                    let v_ab = v_a - records[b].velocity();
-                    terms.grip(particles, (a, b), f, &v_ab, density_a).map(|pair| (pair, v_a))
-                })
-            });
-            afloat.bodies.feel_drag(particles, params.mass(), ranks, pairs);
+            self.drag(particles);
         }
         let flow = Flow {
             particles,
@@ -744,6 +734,28 @@ impl<const D: usize> Wcsph<D> {
         };
         self.afloat.bodies.advance(&flow, dt);
         self.afloat.bodies.place(particles, true);
+    }
+
+    /// Lets bodies feel what viscosity did to the liquid in the last [`rates`](Self::rates).
+    fn drag(&mut self, particles: &Particles<D>) {
+        let terms = self.pairs();
+        let Self { neighbors, records, density, afloat: Afloat { bodies, .. }, .. } = &*self;
+        let beside_solids = particles.fluid().filter(|a| neighbors.has_solids(*a));
+        let pairs = beside_solids.flat_map(|a| {
+            let (v_a, density_a) = (records[a].velocity(), density[a]);
+            let of_bodies = neighbors
+                .row(a)
+                .split()
+                .1
+                .iter()
+                .filter(|(b, ..)| bodies.of(particles.original(*b)).is_some());
+            let terms = &terms;
+            of_bodies.flat_map(move |(b, _, f)| {
+                let v_ab = v_a - records[b].velocity();
+                terms.grip(particles, (a, b), f, &v_ab, density_a).map(|pair| (pair, v_a))
+            })
+        });
+        self.afloat.bodies.drags = bodies.drag(particles, self.params.mass(), &self.ranks, pairs);
     }
 
     fn shift(&mut self, particles: &mut Particles<D>, dt: f64) {
@@ -1115,13 +1127,13 @@ impl Pairs {
     ) -> [Pair<D>; 2] {
         let r_ab = particles.position[a] - particles.position[b];
         let wall = viscosity::wall_factor(particles, particles.original(b), &r_ab, self.slip);
-        let (approach, square) = (wall * v_ab.dot(&r_ab), r_ab.norm_squared());
-        let [approaches, squares, density] = [approach, square, density_a].map(Lanes::splat);
-        let [viscous, ..] = self.viscosity.of(approaches, squares, density).to_array();
-        let along = if approach == 0.0 { 0.0 } else { -viscous * wall * square / approach };
-        let pair =
-            |rate: f64, line| Pair { with: b, is_solid: true, coefficient: self.mass * f * rate, line };
-        [pair(along, Some(r_ab / square.sqrt())), pair(self.laminar * wall, None)]
+        let square = r_ab.norm_squared();
+        let along = square * self.viscosity.rate(v_ab.dot(&r_ab) < 0.0, square, density_a);
+        let pair = |rate: f64, line| {
+            let coefficient = self.mass * f * wall * rate;
+            Pair { with: b, is_solid: true, coefficient, line }
+        };
+        [pair(along, Some(r_ab / square.sqrt())), pair(self.laminar, None)]
     }
 
     /// Eqs. (2) and (3) over walls that carry a pressure; where liquid slips, they exert no viscous force.
@@ -1280,7 +1292,6 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
 
     fn set_state(&mut self, state: &[f64]) -> Option<()> {
         let &[acceleration, largest_variation, steps, has_surface] = state else { return None };
-        self.halo.forget_slabs();
         (self.acceleration, self.largest_variation) = (acceleration, largest_variation);
         (self.steps, self.has_surface) = (steps as u64, has_surface == 1.0);
         Some(())
@@ -1292,6 +1303,10 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
 
     fn halo(&self) -> &Halo<D> {
         &self.halo
+    }
+
+    fn halo_mut(&mut self) -> &mut Halo<D> {
+        &mut self.halo
     }
 
     fn set_gravity(&mut self, gravity: Vector<D>) {

@@ -44,6 +44,12 @@ impl ArtificialViscosity {
         let closing = approach.fast_min(Lanes::splat(0.0));
         -(self.factor * closing + self.laminar * approach) / (density * (square + self.softening))
     }
+
+    /// -Pi_ab over v_ab . r_ab, in m3/kg/s: of one pair, which approaches or does not.
+    pub fn rate(&self, approaches: bool, square: f64, density: f64) -> f64 {
+        let artificial = if approaches { self.factor } else { 0.0 };
+        (artificial + self.laminar) / (density * (square + self.softening))
+    }
 }
 
 #[cfg(test)]
@@ -59,5 +65,7 @@ mod tests {
         assert_eq!((parting, still), (0.0, 0.0));
         // 0.1 * 10 * 0.01 * 1e-3 / (1000 * (1e-4 + 1e-6))
         assert!((closing - 1e-5 / 0.101).abs() < 1e-15 && (faster - 2.0 * closing).abs() < 1e-15);
+        assert!((1e-3 * viscosity.rate(true, 1e-4, 1000.0) - closing).abs() < 1e-15);
+        assert_eq!(viscosity.rate(false, 1e-4, 1000.0), 0.0);
     }
 }
