@@ -318,7 +318,8 @@ fn when_all_fails_the_error_says_so_and_the_pressure_stays() {
     assert!(sphpetsc::ppe::saved::read(&path).unwrap() == system, "not what was saved");
     // Other programs read a matrix and a right-hand side, and may stop there.
     let bytes = std::fs::read(&path).unwrap();
-    let two = 16 + 4 * 1200 + 12 * system.full.column.len() + 8 + 8 * 1200;
+    let index = size_of::<sphpetsc::ppe::Index>();
+    let two = index * (4 + 1200 + 2) + (index + 8) * system.full.column.len() + 8 * 1200;
     std::fs::write(&path, &bytes[..two]).unwrap();
     let bare = sphpetsc::ppe::saved::read(&path).unwrap();
     assert!(bare.full == system.full && bare.rhs == system.rhs && bare.sparse.is_empty());
