@@ -67,6 +67,17 @@ impl<const D: usize> PeriodicBox<D> {
     }
 }
 
+/// Which particles' fields are refreshed: messages between ranks are long enough to leave out what a sum does not read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kinds {
+    /// Liquid and solids.
+    All,
+    /// Liquid alone: solids have the same values on all ranks, or none.
+    Liquid,
+    /// Solids alone.
+    Solids,
+}
+
 /// Makes ghosts and keeps their fields up to date.
 #[derive(Debug, Clone, Default)]
 pub struct Halo<const D: usize> {
@@ -238,6 +249,12 @@ impl<const D: usize> Halo<D> {
         }
     }
 
+    /// Solids that other ranks hold and liquid here may see.
+    pub fn borrowed(&self) -> impl Iterator<Item = usize> {
+        let solids = self.peers.iter().flat_map(|peers| peers.solids_in.iter().flatten());
+        solids.map(|a| *a as usize)
+    }
+
     /// Whether this rank holds particle `a`, no ghost: all liquid that it has, and the solids in its slab.
     #[inline]
     pub fn holds(&self, a: usize) -> bool {
@@ -300,8 +317,10 @@ impl<const D: usize> Halo<D> {
                 peers.tally.handed_over += 1;
             }
         }
-        let stays: Vec<bool> = particles.position.iter().map(|r| owner(r) == self.ranks.rank()).collect();
-        particles.retain_fluid(|a| stays[a]);
+        if parts.iter().any(|part| !part.is_empty()) {
+            let stays: Vec<bool> = particles.position.iter().map(|r| owner(r) == self.ranks.rank()).collect();
+            particles.retain_fluid(|a| stays[a]);
+        }
         for part in self.ranks.exchange(parts) {
             particles.take_in(part.chunks_exact(2 * D + 2).map(unpack));
         }
@@ -364,12 +383,12 @@ impl<const D: usize> Halo<D> {
         }
     }
 
-    /// Gives the ghosts the values of their originals, and solids held elsewhere those that they have there; `field` has one entry a
-    /// particle, ghosts included.
-    pub fn refresh<T: Packed>(&self, originals: &[u32], field: &mut [T]) {
+    /// Gives the ghosts the values of their originals, and solids held elsewhere those that they have there, of `kinds` that have
+    /// changed or matter; `field` has one entry a particle, ghosts included.
+    pub fn refresh<T: Packed>(&self, kinds: Kinds, originals: &[u32], field: &mut [T]) {
         let owned = field.len() - originals.len();
         if let Some(peers) = &self.peers {
-            peers.refresh(&self.ranks, owned + self.offset.len(), field);
+            peers.refresh(kinds, &self.ranks, owned + self.offset.len(), field);
         }
         let (own, ghosts) = field.split_at_mut(owned);
         for (ghost, &original) in ghosts[..self.offset.len()].iter_mut().zip(originals) {
@@ -380,11 +399,12 @@ impl<const D: usize> Halo<D> {
     /// [`refresh`](Self::refresh) of a field of the particles themselves.
     pub fn share<T: Packed>(
         &self,
+        kinds: Kinds,
         particles: &mut Particles<D>,
         field: fn(&mut Particles<D>) -> &mut Vec<T>,
     ) {
         let mut values = std::mem::take(field(particles));
-        self.refresh(particles.originals(), &mut values);
+        self.refresh(kinds, particles.originals(), &mut values);
         *field(particles) = values;
     }
 }
@@ -428,18 +448,23 @@ impl<const D: usize> Peers<D> {
     }
 
     /// Fields of solids and of foreign ghosts, which begin at `first`.
-    fn refresh<T: Packed>(&self, ranks: &Ranks, first: usize, field: &mut [T]) {
+    fn refresh<T: Packed>(&self, kinds: Kinds, ranks: &Ranks, first: usize, field: &mut [T]) {
+        let (with_solids, with_liquid) = (kinds != Kinds::Liquid, kinds != Kinds::Solids);
         let parts = self.solids_out.iter().zip(&self.liquid_out).map(|(solids, liquid)| {
+            let solids = if with_solids { &solids[..] } else { &[] };
+            let liquid = if with_liquid { &liquid[..] } else { &[] };
             let mut part = Vec::with_capacity((solids.len() + liquid.len()) * T::WIDTH);
             let members = solids.iter().copied().chain(liquid.iter().map(|(a, _)| *a));
             members.for_each(|a| field[a as usize].pack(&mut part));
             part
         });
-        let counts = self.solids_in.iter().zip(&self.liquid_in);
+        let solids = self.solids_in.iter().map(|solids| if with_solids { &solids[..] } else { &[] });
+        let liquid = self.liquid_in.iter().map(|liquid| if with_liquid { *liquid } else { 0 });
+        let counts = solids.clone().zip(liquid.clone());
         let counts = counts.map(|(solids, liquid)| (solids.len() + liquid) * T::WIDTH).collect();
         let came = ranks.exchange_expected(parts.collect(), counts);
         let mut ghost = first;
-        for ((part, solids), liquid) in came.iter().zip(&self.solids_in).zip(&self.liquid_in) {
+        for ((part, solids), liquid) in came.iter().zip(solids).zip(liquid) {
             let mut values = part.chunks_exact(T::WIDTH).map(T::unpack);
             for (&a, value) in solids.iter().zip(&mut values) {
                 field[a as usize] = value;
@@ -485,7 +510,7 @@ mod tests {
             assert!(particles.velocity[2..].iter().all(|v| *v == Vector::<2>::new(1.0, 2.0)));
         }
         let mut field = vec![3.0, 4.0, 0.0, 0.0, 0.0];
-        halo.refresh(particles.originals(), &mut field);
+        halo.refresh(Kinds::All, particles.originals(), &mut field);
         assert_eq!(field, [3.0, 4.0, 3.0, 3.0, 3.0]);
     }
 }

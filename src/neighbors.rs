@@ -211,10 +211,11 @@ struct Surrounding {
 }
 
 impl Surrounding {
-    fn find<const D: usize>(&mut self, cells: &CellList<D>, r: &Vector<D>) {
-        let cell = Some(cells.grid.cell(r));
-        if self.cell != cell {
-            self.cell = cell;
+    /// Looks around `cell`, in which `r` lies.
+    #[inline]
+    fn find<const D: usize>(&mut self, cells: &CellList<D>, cell: u32, r: &Vector<D>) {
+        if self.cell != Some(cell) {
+            self.cell = Some(cell);
             cells.around(r, &mut self.runs);
         }
     }
@@ -229,7 +230,22 @@ pub struct Neighbors<const D: usize> {
     fluid_cells: CellList<D>,
     /// Ghosts of fluid, where pairs of liquid are listed once.
     ghost_cells: CellList<D>,
+    groups: Vec<Group>,
 }
+
+/// Neighbouring rows of fluid, and the fluid but for ghosts that they and their pairs of liquid span.
+#[derive(Debug, Clone)]
+pub struct Group {
+    /// Their particles.
+    pub rows: Range<usize>,
+    /// Those particles and all that they are paired with.
+    pub span: Range<usize>,
+}
+
+/// Most groups of rows. What more would span would overlap more.
+const GROUPS: usize = 16;
+/// Least rows of a group: of fewer the span is mostly others', and a task not worth its start.
+const LEAST: usize = 1024;
 
 /// One row: parallel slices over the neighbours b of a particle a.
 #[derive(Debug, Clone, Copy)]
@@ -285,17 +301,17 @@ impl Pairs {
     }
 
     /// Appends the particles of `cells` around `a`, from place `after` on, that are nearer than a support, with their kernel
-    /// factors, to the row that ends at `end`; returns the new end.
+    /// factors, to the row that ends at `end`; returns the new end. `a` lies in `cell`.
     #[inline]
     fn find<const D: usize, K: Kernel>(
         &mut self,
         end: usize,
-        (a, r_a): (usize, &Vector<D>),
+        (a, r_a, cell): (usize, &Vector<D>, u32),
         (cells, surrounding, after): (&CellList<D>, &mut Surrounding, usize),
         search: &Search<'_, D, K>,
         keeps_kernel: bool,
     ) -> usize {
-        surrounding.find(cells, r_a);
+        surrounding.find(cells, cell, r_a);
         let runs = surrounding.runs.iter().map(|run| run.start.max(after)..run.end);
         let next = self.gather(end, (a, r_a), (cells, runs), (search.limit, keeps_kernel));
         self.weigh(end..next, search.smoothing, keeps_kernel);
@@ -420,7 +436,7 @@ impl<const D: usize> Neighbors<D> {
         self.fluid_cells.sort(&grid, fluid.chain(with_fluid), position);
         self.ghost_cells.sort(&grid, apart, position);
         self.chunks.resize_with(count.div_ceil(CHUNK), Chunk::default);
-        let Self { chunks, solid_cells, fluid_cells, ghost_cells } = self;
+        let Self { chunks, solid_cells, fluid_cells, ghost_cells, .. } = self;
         let search = Search { smoothing, limit: support * support };
         chunks.par_iter_mut().enumerate().for_each(|(c, chunk)| {
             let Chunk { start, liquid, pairs, keeps_kernel, span, near_liquid, near_ghosts, near_solids } =
@@ -437,38 +453,56 @@ impl<const D: usize> Neighbors<D> {
                 let (least, before) = (threshold(a), end);
                 let mut own_liquid = 0;
                 if least < f64::INFINITY && is_inside(r_a) {
-                    let is_liquid = a >= first_fluid;
+                    let (is_liquid, at) = (a >= first_fluid, (a, r_a, grid.cell(r_a)));
                     let after = match liquid_once && is_liquid {
                         true => fluid_cells.place[a - first_fluid] as usize + 1,
                         false => 0,
                     };
-                    end = pairs.find(end, (a, r_a), (fluid_cells, near_liquid, after), &search, keeps);
+                    end = pairs.find(end, at, (fluid_cells, near_liquid, after), &search, keeps);
                     if liquid_once && is_liquid {
                         let own = pairs.index[before..end].iter();
                         let (first, last) =
                             own.fold((u32::MAX, 0), |(first, last), &b| (first.min(b), last.max(b)));
                         *span = span.start.min(first as usize)..span.end.max(last as usize + 1);
                     }
-                    end = pairs.find(end, (a, r_a), (ghost_cells, near_ghosts, 0), &search, keeps);
+                    end = pairs.find(end, at, (ghost_cells, near_ghosts, 0), &search, keeps);
                     own_liquid = end - before;
                     if least > 0.0 && pairs.kernel[before..end].iter().sum::<f64>() < least {
                         (end, own_liquid) = (before, 0);
                     } else if solids_see_solids || is_liquid {
-                        end = pairs.find(end, (a, r_a), (solid_cells, near_solids, 0), &search, keeps);
+                        end = pairs.find(end, at, (solid_cells, near_solids, 0), &search, keeps);
                     }
                 }
                 start.push(end);
                 liquid.push(own_liquid as u32);
             }
         });
+        match liquid_once {
+            true => self.deal(&(first_fluid..count)),
+            false => self.groups.clear(),
+        }
     }
 
-    /// The fluid in chunks of rows, each with the fluid that appears in it, but for ghosts; where pairs of liquid are listed once.
-    pub(crate) fn spans(&self) -> impl Iterator<Item = (Range<usize>, Range<usize>)> {
-        self.chunks.iter().enumerate().map(|(c, chunk)| {
-            let rows = c * CHUNK..c * CHUNK + chunk.liquid.len();
-            (rows, chunk.span.clone())
-        })
+    /// Deals the rows of `fluid`, whose pairs are listed once, out in groups.
+    fn deal(&mut self, fluid: &Range<usize>) {
+        let least = fluid.len().div_ceil((fluid.len() / LEAST).clamp(1, GROUPS));
+        self.groups.clear();
+        for (c, chunk) in self.chunks.iter().enumerate() {
+            let rows = fluid.start.max(c * CHUNK)..c * CHUNK + chunk.liquid.len();
+            match self.groups.last_mut() {
+                _ if rows.is_empty() => {}
+                Some(group) if group.rows.len() < least => {
+                    group.rows.end = rows.end;
+                    group.span = group.span.start.min(chunk.span.start)..group.span.end.max(chunk.span.end);
+                }
+                _ => self.groups.push(Group { rows, span: chunk.span.clone() }),
+            }
+        }
+    }
+
+    /// The rows of the fluid in groups; none unless pairs of liquid are listed once.
+    pub fn groups(&self) -> &[Group] {
+        &self.groups
     }
 
     /// Neighbours of particle `a`.

@@ -1,9 +1,10 @@
 //! Sums over pairs of liquid that are listed once ([`Layout::with_liquid_once`](crate::neighbors::Layout::with_liquid_once)): what a pair
 //! gives to each of its particles is found in one go.
 //!
-//! Particle a adds to sums of others, which threads that have other rows add to as well. So rows are dealt out in groups, each adds to a
-//! *window* of its own, of its particles and all that they are paired with, and windows are then added up in one order: the result does not
-//! depend on the number of threads. In cell order a window is longer than its group by the cells within a support, and no more.
+//! Particle a adds to sums of others, which threads that have other rows add to as well. So rows are dealt out in groups
+//! ([`Neighbors::groups`]), each adds to a *window* of its own, of its particles and all that they are paired with, and windows are then
+//! added up in one order: the result does not depend on the number of threads. In cell order a window is longer than its group by the
+//! cells within a support, and no more.
 //!
 //! Ghosts get no sums: their originals have rows of their own.
 
@@ -11,10 +12,6 @@ use crate::neighbors::Neighbors;
 use rayon::prelude::*;
 use std::ops::{AddAssign, Range};
 
-/// Most groups. Windows of more would overlap more.
-const GROUPS: usize = 16;
-/// Least rows of a group: of fewer a window is mostly others', and a task not worth its start.
-const LEAST: usize = 1024;
 /// Sums that are added up at once.
 const BLOCK: usize = 512;
 
@@ -26,12 +23,11 @@ pub struct PairSums<T> {
     zero: T,
 }
 
-/// The sums of a group of rows.
+/// The sums that a group of rows adds to.
 #[derive(Debug, Clone)]
 pub struct Window<T> {
-    rows: Range<usize>,
-    /// The particles that it spans, and their sums.
-    span: Range<usize>,
+    /// First of the particles that it spans.
+    first: usize,
     sums: Vec<T>,
 }
 
@@ -39,15 +35,15 @@ impl<T: Copy + AddAssign> Window<T> {
     /// Adds `share` to the sum of particle `a`, unless it is a ghost.
     #[inline]
     pub fn add(&mut self, a: usize, share: T) {
-        if let Some(sum) = self.sums.get_mut(a.wrapping_sub(self.span.start)) {
+        if let Some(sum) = self.sums.get_mut(a.wrapping_sub(self.first)) {
             *sum += share;
         }
     }
 
     /// What it has of the particles `some`, and their numbers in `some`.
     fn of(&self, some: &Range<usize>) -> (Range<usize>, &[T]) {
-        let Range { start, end } = self.span;
-        let (first, end) = (start.max(some.start), end.min(some.end));
+        let start = self.first;
+        let (first, end) = (start.max(some.start), (start + self.sums.len()).min(some.end));
         match first < end {
             true => (first - some.start..end - some.start, &self.sums[first - start..end - start]),
             false => (0..0, &[]),
@@ -61,38 +57,22 @@ impl<T: Copy + AddAssign + Send + Sync> PairSums<T> {
         Self { windows: vec![], sums: vec![], zero }
     }
 
-    /// Sums for the particles `fluid`, in their order: `row(a, window)` adds what the pairs in the row of `a` give to `a` and to the others.
+    /// Sums for the fluid, in its order: `row(a, window)` adds what the pairs in the row of `a` give to `a` and to the others.
     pub fn collect<const D: usize>(
         &mut self,
         neighbors: &Neighbors<D>,
-        fluid: Range<usize>,
         row: impl Fn(usize, &mut Window<T>) + Sync,
     ) -> &[T] {
-        let least = fluid.len().div_ceil((fluid.len() / LEAST).clamp(1, GROUPS));
-        let mut groups = 0;
-        for (rows, span) in neighbors.spans() {
-            let rows = rows.start.max(fluid.start)..rows.end;
-            match self.windows[..groups].last_mut() {
-                _ if rows.is_empty() => {}
-                Some(window) if window.rows.len() < least => {
-                    window.rows.end = rows.end;
-                    window.span = window.span.start.min(span.start)..window.span.end.max(span.end);
-                }
-                _ => {
-                    if groups == self.windows.len() {
-                        self.windows.push(Window { rows: 0..0, span: 0..0, sums: vec![] });
-                    }
-                    (self.windows[groups].rows, self.windows[groups].span) = (rows, span);
-                    groups += 1;
-                }
-            }
-        }
-        self.windows.truncate(groups);
+        let groups = neighbors.groups();
+        let fluid = groups.first().map_or(0, |group| group.rows.start)
+            ..groups.last().map_or(0, |group| group.rows.end);
         let Self { windows, sums, zero } = self;
-        windows.par_iter_mut().for_each(|window| {
+        windows.resize_with(groups.len(), || Window { first: 0, sums: vec![] });
+        windows.par_iter_mut().zip(groups).for_each(|(window, group)| {
+            window.first = group.span.start;
             window.sums.clear();
-            window.sums.resize(window.span.len(), *zero);
-            for a in window.rows.clone() {
+            window.sums.resize(group.span.len(), *zero);
+            for a in group.rows.clone() {
                 row(a, window);
             }
         });
@@ -137,13 +117,13 @@ mod tests {
             neighbors.search(KernelKind::WendlandC2, 1.2, position, &layout, |_| f64::NEG_INFINITY);
             let liquid = |a: usize| neighbors.row(a).split().0.iter();
             let (mut even, mut odd) = (PairSums::new(0.0), PairSums::new(Vector::zeros()));
-            let even = even.collect(&neighbors, 40..owned, |a, window| {
+            let even = even.collect(&neighbors, |a, window| {
                 for (b, _, f) in liquid(a) {
                     window.add(a, f);
                     window.add(b, f);
                 }
             });
-            let odd = odd.collect(&neighbors, 40..owned, |a, window| {
+            let odd = odd.collect(&neighbors, |a, window| {
                 for (b, _, f) in liquid(a) {
                     let share = f * (position[b] - position[a]);
                     window.add(a, share);

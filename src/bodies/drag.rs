@@ -11,9 +11,10 @@
 use super::coupling::{generalised, mode};
 use super::{Bodies, restrict};
 use crate::form::point;
+use crate::neighbors::Neighbors;
 use crate::parallel::Ranks;
 use crate::particles::{Particles, Vector};
-use crate::terms::viscosity::Pair;
+use crate::terms::viscosity::along;
 
 /// Viscous force on a body along its axes in N and torque about them in N m, at the velocity that it has.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -36,27 +37,53 @@ impl Drag {
     }
 }
 
+/// What viscosity does to a particle of the liquid at a solid one: dv/dt = `rate` P (v - u).
+#[derive(Debug, Clone, Copy)]
+pub struct Grip<const D: usize> {
+    /// The solid particle, of velocity u.
+    pub solid: usize,
+    /// v of the liquid in m/s.
+    pub velocity: Vector<D>,
+    /// In 1/s, negative.
+    pub rate: f64,
+    /// P projects on this unit vector; without one it is the identity.
+    pub line: Option<Vector<D>>,
+}
+
 impl<const D: usize> Bodies<D> {
-    /// Eq. (1) on each body from `pairs` of this rank's liquid, of that velocity in m/s, and solids, with coefficients in 1/s; those of tank walls
-    /// count for nothing. All ranks ask together. `mass` is that of a particle in kg.
+    /// Pairs (a, b, F_ab) of liquid a and solids b of bodies, in whose place ghosts may stand.
+    pub fn beside_liquid(
+        &self,
+        particles: &Particles<D>,
+        neighbors: &Neighbors<D>,
+    ) -> impl Iterator<Item = (usize, usize, f64)> {
+        let beside_solids = particles.fluid().filter(|a| neighbors.has_solids(*a));
+        let of_bodies = beside_solids.flat_map(|a| {
+            let solids = neighbors.row(a).split().1.iter();
+            solids.map(move |(b, _, f)| (a, b, f))
+        });
+        of_bodies.filter(|(_, b, _)| self.of(particles.original(*b)).is_some())
+    }
+
+    /// Eq. (1) on each body from the `grips` of this rank's liquid on solids of bodies. All ranks ask together. `mass` is that of a
+    /// particle in kg.
     pub fn drag(
         &self,
         particles: &Particles<D>,
         mass: f64,
         ranks: &Ranks,
-        pairs: impl Iterator<Item = (Pair<D>, Vector<D>)>,
+        grips: impl Iterator<Item = Grip<D>>,
     ) -> Vec<Drag> {
         let mut drags = vec![Drag::default(); self.list.len()];
-        for (pair, velocity) in pairs {
-            let b = particles.original(pair.with);
+        for Grip { solid, velocity, rate, line } in grips {
+            let b = particles.original(solid);
             let Some(body) = self.of(b) else { continue };
-            let at = match pair.line {
+            let at = match line {
                 Some(_) => particles.position[b],
                 None => particles.position[b] + particles.depth[b] * particles.normal[b],
             };
             let arm = point(&at) - self.list[body].state.position;
-            let force =
-                |v: &Vector<D>| generalised(&point(&(-mass * pair.coefficient * pair.along(v))), &arm);
+            let force = |v: &Vector<D>| generalised(&point(&(-mass * rate * along(line.as_ref(), v))), &arm);
             let add = |sums: &mut [f64; 6], force: [f64; 6]| {
                 sums.iter_mut().zip(force).for_each(|(sum, force)| *sum += force);
             };

@@ -1210,12 +1210,7 @@ impl Proof<'_> {
         let history = quantities::history::<2>().map(|(name, _)| name.to_owned());
         let columns: Vec<String> =
             history.into_iter().chain(probes.iter().flat_map(|probe| probe.columns(*dimension))).collect();
-        let columns = [
-            columns,
-            bodies::force_columns(self.case),
-            bodies::columns(self.case.bodies.iter().map(|body| body.name.as_str()), *dimension),
-        ]
-        .concat();
+        let columns = [columns, bodies::force_columns(self.case), bodies::columns(self.case)].concat();
         let asked = references.iter().map(|reference| &reference.quantity).enumerate();
         let watched = arrivals.iter().map(|arrival| &arrival.quantity).enumerate();
         let all = asked.map(|(i, q)| ("reference", i, q)).chain(watched.map(|(i, q)| ("arrival", i, q)));

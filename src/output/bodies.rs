@@ -35,8 +35,9 @@ pub fn force_columns(case: &CaseFile) -> Vec<String> {
     case.bodies.iter().flat_map(|body| of(&body.name)).collect()
 }
 
-/// Columns of bodies.csv after the time.
-pub fn columns<'a>(names: impl Iterator<Item = &'a str>, dimension: usize) -> Vec<String> {
+/// Columns of bodies.csv on the bodies of `case`, after the time.
+pub fn columns(case: &CaseFile) -> Vec<String> {
+    let dimension = case.dimension;
     let of = |name: &str| {
         let along = |what: &str, unit: &str| {
             axes(dimension).map(|axis| format!("{name}_{what}{axis}_{unit}")).collect::<Vec<_>>()
@@ -54,7 +55,7 @@ pub fn columns<'a>(names: impl Iterator<Item = &'a str>, dimension: usize) -> Ve
         ]
         .concat()
     };
-    names.flat_map(of).collect()
+    case.bodies.iter().flat_map(|body| of(&body.name)).collect()
 }
 
 fn along<const D: usize>(v: &Point) -> Vec<f64> {
@@ -114,8 +115,7 @@ impl BodyLog {
         if case.bodies.is_empty() {
             return Ok(None);
         }
-        let names = case.bodies.iter().map(|body| body.name.as_str());
-        let table = open(folder, "bodies.csv", columns(names, case.dimension), since)?;
+        let table = open(folder, "bodies.csv", columns(case), since)?;
         let path = folder.join("bodies.pvd");
         let pvd = match since {
             None => Pvd::create(&path),

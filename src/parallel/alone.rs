@@ -47,6 +47,6 @@ pub(super) fn counts(_: &[Vec<f64>]) -> Vec<usize> {
     unreachable!("one rank has nobody to talk to")
 }
 
-pub(super) fn exchange(_: &[Vec<f64>], _: &[usize]) -> Vec<Vec<f64>> {
+pub(super) fn exchange(_: Vec<Vec<f64>>, _: &[usize]) -> Vec<Vec<f64>> {
     unreachable!("one rank has nobody to talk to")
 }

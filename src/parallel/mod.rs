@@ -165,7 +165,7 @@ impl Ranks {
         }
         pass(self.count_sent(&parts), || {
             let counts = world::counts(&parts);
-            world::exchange(&parts, &counts)
+            world::exchange(parts, &counts)
         })
     }
 
@@ -174,7 +174,7 @@ impl Ranks {
         if !self.are_several() {
             return parts;
         }
-        pass(self.count_sent(&parts), || world::exchange(&parts, &counts))
+        pass(self.count_sent(&parts), || world::exchange(parts, &counts))
     }
 
     /// Doubles in the parts for others.

@@ -2,10 +2,9 @@
 
 use mpi::Threading;
 use mpi::collective::SystemOperation;
-use mpi::datatype::{Partition, PartitionMut};
 use mpi::environment::Universe;
 use mpi::topology::SimpleCommunicator;
-use mpi::traits::{Communicator, CommunicatorCollectives};
+use mpi::traits::{Communicator, CommunicatorCollectives, Destination, Source};
 
 use super::Ranks;
 use crate::{Error, Result};
@@ -111,19 +110,23 @@ pub(super) fn counts(parts: &[Vec<f64>]) -> Vec<usize> {
     incoming.into_iter().map(|count| count as usize).collect()
 }
 
-pub(super) fn exchange(parts: &[Vec<f64>], incoming: &[usize]) -> Vec<Vec<f64>> {
-    let outgoing: Vec<i32> = parts.iter().map(|part| part.len() as i32).collect();
-    let incoming: Vec<i32> = incoming.iter().map(|count| *count as i32).collect();
-    let starts = |counts: &[i32]| -> Vec<i32> {
-        counts.iter().scan(0, |end, count| Some(std::mem::replace(end, *end + count))).collect()
-    };
-    let (out_at, in_at) = (starts(&outgoing), starts(&incoming));
-    let sent = parts.concat();
-    let mut received = vec![0.0; incoming.iter().sum::<i32>() as usize];
-    SimpleCommunicator::world().all_to_all_varcount_into(
-        &Partition::new(&sent[..], &outgoing[..], &out_at[..]),
-        &mut PartitionMut::new(&mut received[..], &incoming[..], &in_at[..]),
-    );
-    let part = |(at, count): (&i32, &i32)| received[*at as usize..(*at + *count) as usize].to_vec();
-    in_at.iter().zip(&incoming).map(part).collect()
+/// Messages of `parts` to their ranks; returns those of `incoming` lengths from them. Most ranks have nothing to say to most others, so only who has does, and
+/// nothing is copied on the way: a slab's ghosts are as much as caches hold.
+pub(super) fn exchange(mut parts: Vec<Vec<f64>>, incoming: &[usize]) -> Vec<Vec<f64>> {
+    let world = SimpleCommunicator::world();
+    let own = world.rank() as usize;
+    let mut received: Vec<Vec<f64>> = incoming.iter().map(|count| vec![0.0; *count]).collect();
+    received[own] = std::mem::take(&mut parts[own]);
+    let at = |q: usize| world.process_at_rank(q as i32);
+    let count = parts.iter().chain(&received).count();
+    mpi::request::multiple_scope(count, |scope, requests| {
+        for (q, part) in received.iter_mut().enumerate().filter(|(q, part)| *q != own && !part.is_empty()) {
+            requests.add(at(q).immediate_receive_into(scope, &mut part[..]));
+        }
+        for (q, part) in parts.iter().enumerate().filter(|(_, part)| !part.is_empty()) {
+            requests.add(at(q).immediate_send(scope, &part[..]));
+        }
+        requests.wait_all(&mut Vec::with_capacity(count));
+    });
+    received
 }

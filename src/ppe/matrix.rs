@@ -32,7 +32,7 @@ use crate::bodies::Bodies;
 use crate::boundary::DummyWalls;
 use crate::case::LaplacianKind;
 use crate::form::{Point, point};
-use crate::halo::Halo;
+use crate::halo::{Halo, Kinds};
 use crate::kernel::LatticeSums;
 use crate::operators::{Moments, Surroundings};
 use crate::parallel::Ranks;
@@ -238,7 +238,7 @@ impl Assembler {
         let column = |&row: &u32| if row == NO_ROW { -1 } else { first as Index + row as Index };
         self.column_of.clear();
         self.column_of.extend(self.row_of.iter().map(column));
-        halo.refresh(particles.originals(), &mut self.column_of);
+        halo.refresh(Kinds::All, particles.originals(), &mut self.column_of);
     }
 
     /// Groups of unknowns that are linked with each other but with no surface. Each group goes by its smallest global row, groups
@@ -608,7 +608,7 @@ impl Groups {
             for (k, &a) in particle_of.iter().enumerate() {
                 mark_of[a as usize] = marks[self.root(k as u32) as usize];
             }
-            halo.refresh(particles.originals(), &mut mark_of);
+            halo.refresh(Kinds::All, particles.originals(), &mut mark_of);
             changed = false;
             for &(k, a) in &links {
                 let mark = &mut marks[self.root(k as u32) as usize];

@@ -21,9 +21,10 @@ use super::{
 };
 use crate::bodies::Bodies;
 use crate::bodies::coupling::Flow;
+use crate::bodies::drag::Grip;
 use crate::boundary::{DummyWalls, kinematic};
 use crate::case::{LaplacianKind, Slip};
-use crate::halo::Halo;
+use crate::halo::{Halo, Kinds};
 use crate::kernel::LatticeSums;
 use crate::neighbors::{Layout, Neighbors};
 use crate::operators::{Moments, Surroundings};
@@ -36,7 +37,7 @@ use crate::terms::collision::Collisions;
 use crate::terms::implicit_viscosity::{self, VelocitySolve};
 use crate::terms::shifting::Shifting;
 use crate::terms::surface;
-use crate::terms::viscosity::{Form, Pair};
+use crate::terms::viscosity::Form;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::path::Path;
@@ -195,7 +196,7 @@ impl<const D: usize> Isph<D> {
         let threshold = |a| if halo.holds(a) { walls.threshold(particles, a) } else { f64::INFINITY };
         support.neighbors.search(kernel, h, &particles.position, &Layout::of(particles), threshold);
         walls.mark_active(particles, &support.neighbors, &mut support.active);
-        self.halo.refresh(particles.originals(), &mut support.active);
+        self.halo.refresh(Kinds::Solids, particles.originals(), &mut support.active);
         let surroundings = self.support.around(particles);
         let (count, owned) = (particles.len(), particles.owned());
         self.moments.resize(count, Moments::default());
@@ -218,9 +219,7 @@ impl<const D: usize> Isph<D> {
                 *crowding = (filled.kernel_sum + lattice.own_share) / lattice.kernel_sum;
                 *weight = criterion.map_or(0.0, |criterion| criterion.weight(&filled, *crowding));
             });
-        self.halo.refresh(particles.originals(), &mut self.moments);
-        self.halo.refresh(particles.originals(), &mut self.surface);
-        self.halo.refresh(particles.originals(), &mut self.crowding);
+        self.halo.refresh(Kinds::All, particles.originals(), &mut self.surface);
     }
 
     /// v* of liquid and walls, but for viscosity beyond the explicit limit, which is for [`resist`](Self::resist).
@@ -237,7 +236,7 @@ impl<const D: usize> Isph<D> {
                 *v += dt * nu * form.laplacian(&surroundings, particles, &moments[a], a, slip);
             }
         });
-        self.halo.refresh(particles.originals(), &mut self.predicted);
+        self.halo.refresh(Kinds::Liquid, particles.originals(), &mut self.predicted);
     }
 
     /// Whether viscosity is too large for explicit steps of `dt` s.
@@ -255,7 +254,7 @@ impl<const D: usize> Isph<D> {
     /// Viscosity from the end of the step, see [`implicit_viscosity`].
     fn resist(&mut self, particles: &mut Particles<D>, dt: f64) -> Result<()> {
         let (nu, slip, form) = (self.params.kinematic_viscosity, self.params.slip, self.viscous_form());
-        self.halo.share(particles, |particles| &mut particles.velocity);
+        self.halo.share(Kinds::Liquid, particles, |particles| &mut particles.velocity);
         let surroundings = self.support.around(particles);
         self.velocities.assemble(particles, &surroundings, &self.moments, form, slip, &self.halo, dt * nu);
         self.velocity_solver.solve(&mut self.velocities.system)?;
@@ -276,15 +275,15 @@ impl<const D: usize> Isph<D> {
         if nu == 0.0 || slip != Slip::None || self.afloat.bodies.is_empty() {
             return;
         }
-        let (form, surroundings) = (self.viscous_form(), self.support.around(particles));
-        let (moments, velocity) = (&self.moments, &particles.velocity);
-        let beside_solids = particles.fluid().filter(|a| self.support.neighbors.has_solids(*a));
-        let pairs = beside_solids.flat_map(|a| {
-            let of_solids =
-                form.pairs(&surroundings, particles, &moments[a], a, slip).filter(|pair| pair.is_solid);
-            of_solids.map(move |pair| (Pair { coefficient: nu * pair.coefficient, ..pair }, velocity[a]))
+        let (form, moments, volume) = (self.viscous_form(), &self.moments, self.params.volume());
+        let (Support { neighbors, active, .. }, bodies) = (&self.support, &self.afloat.bodies);
+        let wet = bodies.beside_liquid(particles, neighbors).filter(|(_, b, _)| active[*b]);
+        let grips = wet.map(|(a, b, f)| {
+            let r_ab = particles.position[a] - particles.position[b];
+            let pair = form.pair(particles, slip, form.factor(&moments[a]), (b, &r_ab, volume * f));
+            Grip { solid: b, velocity: particles.velocity[a], rate: nu * pair.coefficient, line: pair.line }
         });
-        self.afloat.bodies.drags = self.afloat.bodies.drag(particles, self.params.mass(), &self.ranks, pairs);
+        self.afloat.bodies.drags = bodies.drag(particles, self.params.mass(), &self.ranks, grips);
     }
 
     /// The source of every pressure row.
@@ -340,7 +339,7 @@ impl<const D: usize> Isph<D> {
         }
         self.assembler.scatter(particles);
         self.walls.extend_pressure(particles, &self.support.active);
-        self.halo.share(particles, |particles| &mut particles.pressure);
+        self.halo.share(Kinds::All, particles, |particles| &mut particles.pressure);
         clipped
     }
 
@@ -442,7 +441,7 @@ impl<const D: usize> Isph<D> {
     fn collide(&mut self, particles: &mut Particles<D>) -> usize {
         match self.method.collisions {
             Some(collisions) => {
-                self.halo.share(particles, |particles| &mut particles.velocity);
+                self.halo.share(Kinds::Liquid, particles, |particles| &mut particles.velocity);
                 let Self { support, afloat, pairs, wall_force, .. } = self;
                 collisions.apply(particles, &support.neighbors, &mut afloat.bodies, pairs, wall_force)
             }
@@ -470,10 +469,11 @@ impl<const D: usize> Isph<D> {
             *r += 0.5 * dt * (v - new + change);
         }
         self.halo.place(particles);
-        self.halo.share(particles, |particles| &mut particles.velocity);
+        self.halo.share(Kinds::Liquid, particles, |particles| &mut particles.velocity);
     }
 
     fn shift(&mut self, particles: &mut Particles<D>, dt: f64) {
+        self.halo.refresh(Kinds::All, particles.originals(), &mut self.moments);
         let Params { spacing, gravity, .. } = self.params;
         let h = self.params.smoothing_length();
         let shifting = Shifting::new(self.method.shifting, h, spacing, gravity.norm(), dt);

@@ -5,7 +5,7 @@
 
 use super::{Compressibility, Fields, Params, Scheme, Stages, StepReport};
 use crate::bodies::Bodies;
-use crate::halo::Halo;
+use crate::halo::{Halo, Kinds};
 use crate::parallel::{Packed, Ranks};
 use crate::particles::{Fluid, Particles, Vector};
 use crate::{Error, Result};
@@ -82,7 +82,7 @@ impl<const D: usize> Still<D> {
         self.halo.renew(whole);
         for field in [&mut self.crowding, &mut self.surface] {
             field.resize(whole.len(), 0.0);
-            self.halo.refresh(whole.originals(), field);
+            self.halo.refresh(Kinds::All, whole.originals(), field);
         }
     }
 }

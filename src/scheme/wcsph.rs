@@ -116,11 +116,12 @@ use super::{
 use crate::Result;
 use crate::bodies::Bodies;
 use crate::bodies::coupling::Flow;
+use crate::bodies::drag::Grip;
 use crate::boundary::DummyWalls;
 use crate::boundary::extrapolation::Extrapolation;
 use crate::boundary::repulsion::Repulsion;
 use crate::case::{DiffusionKind, Slip, Stepping};
-use crate::halo::Halo;
+use crate::halo::{Halo, Kinds};
 use crate::kernel::LatticeSums;
 use crate::neighbors::{Layout, Neighbors, Row};
 use crate::operators::{Moments, Surroundings};
@@ -133,7 +134,7 @@ use crate::terms::density_diffusion::DensityDiffusion;
 use crate::terms::shifting::Shifting;
 use crate::terms::state_equation::Tait;
 use crate::terms::surface;
-use crate::terms::viscosity::{self, Pair};
+use crate::terms::viscosity;
 use rayon::prelude::*;
 use std::ops::{Add, AddAssign};
 use std::path::Path;
@@ -319,7 +320,7 @@ impl<const D: usize> Wcsph<D> {
         }
     }
 
-    /// Neighbours of liquid and of solids near it, and which walls are wet.
+    /// Neighbours of liquid and of solids near it.
     fn survey(&mut self, particles: &mut Particles<D>) {
         self.afloat.survey(&self.params, particles, &self.lattice, &mut self.walls);
         self.halo.renew(particles);
@@ -340,13 +341,17 @@ impl<const D: usize> Wcsph<D> {
         self.beside_liquid.clear();
         let is_beside = |w: usize| !self.neighbors.row(w).index.is_empty();
         self.beside_liquid.extend((0..solids).map(is_beside));
+        self.halo.borrowed().for_each(|w| self.beside_liquid[w] = true);
         self.beside_liquid.resize(particles.len(), true);
-        self.halo.refresh(particles.originals(), &mut self.beside_liquid);
+    }
+
+    /// Which walls are wet.
+    fn mark_wet(&mut self, particles: &Particles<D>) {
         self.walls.mark_active(particles, &self.neighbors, &mut self.wet);
-        self.halo.refresh(particles.originals(), &mut self.wet);
+        self.halo.refresh(Kinds::Solids, particles.originals(), &mut self.wet);
         self.active.clone_from(&self.wet);
         if !self.method.wall_pressure {
-            self.active[..solids].fill(false);
+            self.active[..particles.solids()].fill(false);
             self.active[particles.solid_ghosts()].fill(false);
         }
     }
@@ -377,9 +382,10 @@ impl<const D: usize> Wcsph<D> {
         fluid.for_each(|(density, pressure)| *density = state_equation.density(*pressure));
     }
 
-    /// Pressures of liquid, by Eq. (1), and of walls.
+    /// Pressures of liquid, by Eq. (1), and of walls. Not before, ranks wait for each other.
     fn pressures(&mut self, particles: &mut Particles<D>) {
-        self.halo.refresh(particles.originals(), &mut self.density);
+        self.mark_wet(particles);
+        self.halo.refresh(Kinds::Liquid, particles.originals(), &mut self.density);
         self.liquid_pressures(particles);
         if self.method.wall_pressure {
             self.wall_pressures(particles);
@@ -400,42 +406,37 @@ impl<const D: usize> Wcsph<D> {
             fluid.into_par_iter().with_min_len(1024).for_each(|(push, rho, rates)| {
                 *push += damper * rates.continuity / (rho * rho);
             });
-            self.halo.refresh(particles.originals(), &mut self.push);
+            self.halo.refresh(Kinds::Liquid, particles.originals(), &mut self.push);
         }
     }
 
     fn wall_pressures(&mut self, particles: &mut Particles<D>) {
-        let (first, state_equation) = (particles.solids(), self.state_equation);
-        let (density_s, density) = self.density.split_at_mut(first);
-        let (push_s, push) = self.push.split_at_mut(first);
+        let (solids, state_equation) = (particles.solids(), self.state_equation);
         let (neighbors, position, gravity) = (&self.neighbors, &particles.position, &self.params.gravity);
-        let accelerations = &self.afloat.accelerations;
-        let (density, push) = (&*density, &*push);
-        let pressure = |f: usize| push[f - first] * density[f - first].powi(2);
-        (&mut particles.pressure[..first], push_s, density_s)
-            .into_par_iter()
-            .enumerate()
-            .with_min_len(512)
-            .for_each(|(w, (p, push, rho))| {
-                let row = neighbors.row(w);
-                if row.index.is_empty() {
-                    (*p, *push) = (0.0, 0.0);
-                    return;
-                }
+        let (accelerations, beside_liquid) = (&self.afloat.accelerations, &self.beside_liquid);
+        let (density, push) = (&self.density, &self.push);
+        let walls = particles.pressure[..solids].par_iter_mut().enumerate().with_min_len(512);
+        walls.for_each(|(w, p)| {
+            *p = 0.0;
+            if beside_liquid[w] {
                 let (r_w, mut sums) = (position[w], Extrapolation::default());
-                for (f, weight, _) in row.iter() {
-                    sums.add(weight, pressure(f), density[f - first], &(r_w - position[f]));
+                for (f, weight, _) in neighbors.row(w).iter() {
+                    let pressure = push[f] * density[f].powi(2);
+                    sums.add(weight, pressure, density[f], &(r_w - position[f]));
                 }
                 *p = match accelerations.get(w) {
                     Some(a_w) => sums.pressure(&(gravity - a_w)),
                     None => sums.pressure(gravity),
                 };
-                *rho = state_equation.density(*p);
-                *push = *p / (*rho * *rho);
-            });
-        self.halo.refresh(particles.originals(), &mut self.density);
-        self.halo.refresh(particles.originals(), &mut self.push);
-        self.halo.share(particles, |particles| &mut particles.pressure);
+            }
+        });
+        self.halo.share(Kinds::Solids, particles, |particles| &mut particles.pressure);
+        let of_pressure = |p: f64| p / state_equation.density(p).powi(2);
+        for walls in [0..solids, particles.solid_ghosts()] {
+            let (push, pressure) = (&mut self.push[walls.clone()], &particles.pressure[walls.clone()]);
+            let walls = (push, pressure, &beside_liquid[walls]).into_par_iter().with_min_len(512);
+            walls.for_each(|(push, p, is_beside)| *push = if *is_beside { of_pressure(*p) } else { 0.0 });
+        }
     }
 
     /// What pair sums need of the liquid and of solids beside it, as it stands now.
@@ -450,9 +451,8 @@ impl<const D: usize> Wcsph<D> {
         });
     }
 
-    /// drho/dt by Eq. (2) alone, and rho += dt drho/dt.
+    /// drho/dt by Eq. (2) alone, of what was packed last, and rho += dt drho/dt.
     fn continuity(&mut self, particles: &Particles<D>, dt: f64) {
-        self.pack(particles);
         let is_corrected = self.is_corrected();
         let (fluid, mass, wall_pressure) = (particles.fluid(), self.params.mass(), self.method.wall_pressure);
         let first = fluid.start;
@@ -460,12 +460,12 @@ impl<const D: usize> Wcsph<D> {
         let near = Near { neighbors, records };
         let of_liquid: &(dyn Fn(usize) -> f64 + Sync) = if is_corrected {
             // sum_b v_ab . S grad W is the trace of S sum_b grad W (x) v_ab.
-            let sums = matrix_sums.collect(neighbors, fluid.clone(), |a, window| {
+            let sums = matrix_sums.collect(neighbors, |a, window| {
                 near.add_matrices(a, |pair| pair.v, window);
             });
             &|k| (shape[first + k] * sums[k].matrix()).trace()
         } else {
-            let sums = continuity_sums.collect(neighbors, fluid.clone(), |a, window| {
+            let sums = continuity_sums.collect(neighbors, |a, window| {
                 let mut own = Lanes::splat(0.0);
                 for (index, pair, f) in near.liquid(a) {
                     let share = f * dot(&pair.v, &pair.r);
@@ -492,6 +492,9 @@ impl<const D: usize> Wcsph<D> {
 
     /// dv/dt and drho/dt of the liquid, and its surface.
     fn rates(&mut self, particles: &Particles<D>) {
+        if self.wants_moments() {
+            self.measure(particles);
+        }
         let pressure = &particles.pressure;
         let difference = |a: usize, index: &[u32; LANES]| {
             Lanes::new(index.map(|b| pressure[b as usize])) - Lanes::splat(pressure[a])
@@ -533,7 +536,7 @@ impl<const D: usize> Wcsph<D> {
         let (first, walls) = (particles.solids(), particles.walls().end);
         let pairs = self.pairs();
         let form = (self.is_corrected(), self.takes_differences());
-        let sums = rate_sums.collect(&self.neighbors, particles.fluid(), |a, window| match form {
+        let sums = rate_sums.collect(&self.neighbors, |a, window| match form {
             (true, _) => pairs.add_liquid::<D, CORRECTED>(self, a, &excess, window),
             (false, true) => pairs.add_liquid::<D, DIFFERENCES>(self, a, &excess, window),
             (false, false) => pairs.add_liquid::<D, SUMS>(self, a, &excess, window),
@@ -596,16 +599,16 @@ impl<const D: usize> Wcsph<D> {
         self.method.corrected && self.has_surface
     }
 
-    /// Moments and corrections that the step needs, where it takes place.
+    fn wants_moments(&self) -> bool {
+        self.method.shifting > 0.0 || self.method.density_diffusion == DiffusionKind::Antuono
+    }
+
+    /// Rows and corrections that the step needs, where it takes place.
     fn assess(&mut self, particles: &Particles<D>) {
-        let Method { shifting, velocity_smoothing, density_diffusion, .. } = self.method;
-        let wants_moments = shifting > 0.0 || density_diffusion == DiffusionKind::Antuono;
-        if wants_moments || velocity_smoothing > 0.0 {
+        if self.wants_moments() || self.method.velocity_smoothing > 0.0 {
             self.find_rows(particles);
         }
-        if wants_moments {
-            self.measure(particles);
-        }
+        self.pack(particles);
         if self.is_corrected() {
             self.shape(particles);
         }
@@ -613,11 +616,10 @@ impl<const D: usize> Wcsph<D> {
 
     /// S of Eq. (6), the identity beside solids.
     fn shape(&mut self, particles: &Particles<D>) {
-        self.pack(particles);
         let (first, volume) = (particles.solids(), self.params.volume());
         let Self { neighbors, records, matrix_sums, shape, .. } = self;
         let near = Near { neighbors, records };
-        let sums = matrix_sums.collect(neighbors, particles.fluid(), |a, window| {
+        let sums = matrix_sums.collect(neighbors, |a, window| {
             near.add_matrices(a, |pair| pair.r, window);
         });
         shape.resize(particles.len(), Matrix::identity());
@@ -628,7 +630,7 @@ impl<const D: usize> Wcsph<D> {
                 false => Moments { matrix: -volume * sum.matrix(), ..Moments::default() }.shape_correction(),
             };
         });
-        self.halo.refresh(particles.originals(), shape);
+        self.halo.refresh(Kinds::Liquid, particles.originals(), shape);
     }
 
     /// Moments of the support of all liquid.
@@ -638,7 +640,6 @@ impl<const D: usize> Wcsph<D> {
         let surroundings = self.around(particles);
         let fluid = moments[particles.fluid()].par_iter_mut().enumerate().with_min_len(256);
         fluid.for_each(|(k, moments)| *moments = surroundings.moments(first + k));
-        self.halo.refresh(particles.originals(), &mut moments);
         self.moments = moments;
     }
 
@@ -655,7 +656,7 @@ impl<const D: usize> Wcsph<D> {
                 None => hydrostatic,
             };
         });
-        self.halo.refresh(particles.originals(), &mut slope);
+        self.halo.refresh(Kinds::Liquid, particles.originals(), &mut slope);
         self.slope = slope;
     }
 
@@ -664,7 +665,7 @@ impl<const D: usize> Wcsph<D> {
         let first = particles.solids();
         let fluid = particles.velocity[first..].par_iter_mut().zip(&self.rates).with_min_len(1024);
         fluid.for_each(|(v, rates)| *v += dt * rates.acceleration);
-        self.halo.share(particles, |particles| &mut particles.velocity);
+        self.halo.share(Kinds::Liquid, particles, |particles| &mut particles.velocity);
     }
 
     fn diffuse(&mut self, particles: &Particles<D>, dt: f64) {
@@ -680,7 +681,7 @@ impl<const D: usize> Wcsph<D> {
             *v = before.0 + dt * rates.acceleration;
             *density = before.1 + dt * (rates.continuity + rates.diffusion);
         });
-        self.halo.share(particles, |particles| &mut particles.velocity);
+        self.halo.share(Kinds::Liquid, particles, |particles| &mut particles.velocity);
     }
 
     /// Position Verlet; see the module.
@@ -690,7 +691,10 @@ impl<const D: usize> Wcsph<D> {
         watch.time("rates", || self.rates(particles));
         self.kick(particles, dt);
         self.move_bodies(particles, dt);
-        watch.time("continuity", || self.continuity(particles, 0.5 * dt));
+        watch.time("continuity", || {
+            self.pack(particles);
+            self.continuity(particles, 0.5 * dt);
+        });
         self.diffuse(particles, dt);
     }
 
@@ -702,7 +706,10 @@ impl<const D: usize> Wcsph<D> {
         self.before.extend(now.map(|(v, density)| (*v, *density)));
         for reach in [0.5 * dt, dt] {
             if self.method.acoustic_damper > 0.0 {
-                watch.time("continuity", || self.continuity(particles, 0.0));
+                watch.time("continuity", || {
+                    self.pack(particles);
+                    self.continuity(particles, 0.0);
+                });
             }
             watch.time("pressure", || self.pressures(particles));
             watch.time("rates", || self.rates(particles));
@@ -717,9 +724,7 @@ impl<const D: usize> Wcsph<D> {
             return;
         }
         self.push_walls(particles);
-        if self.params.slip == Slip::None && self.method.wall_pressure {
-            self.drag(particles);
-        }
+        self.drag(particles);
         let flow = Flow {
             particles,
             active: &self.active,
@@ -738,28 +743,21 @@ impl<const D: usize> Wcsph<D> {
 
     /// Lets bodies feel what viscosity did to the liquid in the last [`rates`](Self::rates).
     fn drag(&mut self, particles: &Particles<D>) {
+        if self.params.slip != Slip::None || !self.method.wall_pressure {
+            return;
+        }
         let terms = self.pairs();
         let Self { neighbors, records, density, afloat: Afloat { bodies, .. }, .. } = &*self;
-        let beside_solids = particles.fluid().filter(|a| neighbors.has_solids(*a));
-        let pairs = beside_solids.flat_map(|a| {
-            let (v_a, density_a) = (records[a].velocity(), density[a]);
-            let of_bodies = neighbors
-                .row(a)
-                .split()
-                .1
-                .iter()
-                .filter(|(b, ..)| bodies.of(particles.original(*b)).is_some());
-            let terms = &terms;
-            of_bodies.flat_map(move |(b, _, f)| {
-                let v_ab = v_a - records[b].velocity();
-                terms.grip(particles, (a, b), f, &v_ab, density_a).map(|pair| (pair, v_a))
-            })
+        let grips = bodies.beside_liquid(particles, neighbors).flat_map(|(a, b, f)| {
+            let [v_a, v_b] = [a, b].map(|a| records[a].velocity());
+            terms.grips(particles, (a, b), f, (v_a, v_a - v_b), density[a])
         });
-        self.afloat.bodies.drags = bodies.drag(particles, self.params.mass(), &self.ranks, pairs);
+        self.afloat.bodies.drags = bodies.drag(particles, self.params.mass(), &self.ranks, grips);
     }
 
     fn shift(&mut self, particles: &mut Particles<D>, dt: f64) {
-        self.halo.refresh(particles.originals(), &mut self.surface);
+        self.halo.refresh(Kinds::Liquid, particles.originals(), &mut self.surface);
+        self.halo.refresh(Kinds::Liquid, particles.originals(), &mut self.moments);
         let Params { spacing, gravity, .. } = self.params;
         let h = self.params.smoothing_length();
         let shifting = Shifting::new(self.method.shifting, h, spacing, gravity.norm(), dt);
@@ -767,13 +765,13 @@ impl<const D: usize> Wcsph<D> {
         shifting.compute(&self.around(particles), particles, &self.moments, &self.surface, &mut moves);
         Shifting::apply(particles, &moves);
         self.halo.place(particles);
-        self.halo.share(particles, |particles| &mut particles.velocity);
+        self.halo.share(Kinds::Liquid, particles, |particles| &mut particles.velocity);
         self.moves = moves;
     }
 
     /// Liquid moves on with the smoothed velocity, Eq. (7).
     fn smooth(&mut self, particles: &mut Particles<D>, dt: f64) {
-        self.halo.refresh(particles.originals(), &mut self.density);
+        self.halo.refresh(Kinds::Liquid, particles.originals(), &mut self.density);
         let (mut moves, first) = (std::mem::take(&mut self.moves), particles.solids());
         moves.resize(particles.owned() - first, (Vector::zeros(), Vector::zeros()));
         let (neighbors, velocity, density) = (&self.rows, &particles.velocity, &self.density);
@@ -803,8 +801,7 @@ impl<const D: usize> Wcsph<D> {
             let near_wall = self.params.smoothing_length() * rates.stiffness;
             acceleration = acceleration.max(rates.acceleration.norm_squared()).max(near_wall * near_wall);
         }
-        self.halo.share(particles, |particles| &mut particles.pressure);
-        self.halo.refresh(particles.originals(), &mut self.crowding);
+        self.halo.share(Kinds::Liquid, particles, |particles| &mut particles.pressure);
         // A light body answers to the push of one particle with a multiple of that particle's acceleration.
         if !self.afloat.bodies.is_empty() {
             let Afloat { bodies, accelerations, .. } = &mut self.afloat;
@@ -1117,23 +1114,20 @@ impl Pairs {
 
     /// What viscosity does to liquid `a` at solid `b`, as [`add_walls`](Self::add_walls) has it: along the line between them, and in the
     /// direction of v_ab.
-    fn grip<const D: usize>(
+    fn grips<const D: usize>(
         &self,
         particles: &Particles<D>,
         (a, b): (usize, usize),
         f: f64,
-        v_ab: &Vector<D>,
+        (velocity, v_ab): (Vector<D>, Vector<D>),
         density_a: f64,
-    ) -> [Pair<D>; 2] {
+    ) -> [Grip<D>; 2] {
         let r_ab = particles.position[a] - particles.position[b];
         let wall = viscosity::wall_factor(particles, particles.original(b), &r_ab, self.slip);
         let square = r_ab.norm_squared();
         let along = square * self.viscosity.rate(v_ab.dot(&r_ab) < 0.0, square, density_a);
-        let pair = |rate: f64, line| {
-            let coefficient = self.mass * f * wall * rate;
-            Pair { with: b, is_solid: true, coefficient, line }
-        };
-        [pair(along, Some(r_ab / square.sqrt())), pair(self.laminar, None)]
+        let grip = |rate: f64, line| Grip { solid: b, velocity, rate: self.mass * f * wall * rate, line };
+        [grip(along, Some(r_ab / square.sqrt())), grip(self.laminar, None)]
     }
 
     /// Eqs. (2) and (3) over walls that carry a pressure; where liquid slips, they exert no viscous force.
@@ -1271,8 +1265,8 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
         self.find_rows(particles);
         let rows = std::mem::take(&mut self.rows);
         while self.ranks.any(hydrostatic(particles, &rows, &self.params, &mut roofed)) {
-            self.halo.share(particles, |particles| &mut particles.pressure);
-            self.halo.refresh(particles.originals(), &mut roofed);
+            self.halo.share(Kinds::Liquid, particles, |particles| &mut particles.pressure);
+            self.halo.refresh(Kinds::Liquid, particles.originals(), &mut roofed);
         }
         drop(rows);
         self.densities(particles);

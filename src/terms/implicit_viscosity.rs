@@ -15,7 +15,7 @@
 use super::viscosity::Form;
 use crate::Result;
 use crate::case::Slip;
-use crate::halo::Halo;
+use crate::halo::{Halo, Kinds};
 use crate::operators::{Moments, Surroundings};
 use crate::particles::{Particles, Vector};
 use crate::ppe::{Index, Rows};
@@ -67,7 +67,7 @@ impl Assembler {
         for (k, number) in self.number_of[fluid.clone()].iter_mut().enumerate() {
             *number = (first + k) as Index;
         }
-        halo.refresh(particles.originals(), &mut self.number_of);
+        halo.refresh(Kinds::Liquid, particles.originals(), &mut self.number_of);
 
         let VelocitySystem { matrix, rhs, velocity } = &mut self.system;
         matrix.start.clear();

@@ -63,10 +63,15 @@ pub struct Pair<const D: usize> {
     pub line: Option<Vector<D>>,
 }
 
+/// The projection of `v` on the unit vector `line`, or without one `v`.
+pub fn along<const D: usize>(line: Option<&Vector<D>>, v: &Vector<D>) -> Vector<D> {
+    line.map_or(*v, |line| line.dot(v) * line)
+}
+
 impl<const D: usize> Pair<D> {
     /// P v.
     pub fn along(&self, v: &Vector<D>) -> Vector<D> {
-        self.line.map_or(*v, |line| line.dot(v) * line)
+        along(self.line.as_ref(), v)
     }
 
     /// Component (d, e) of P.
@@ -85,21 +90,35 @@ impl Form {
         a: usize,
         slip: Slip,
     ) -> impl Iterator<Item = Pair<D>> {
-        let solids = particles.solids();
-        let factor = match self {
+        let factor = self.factor(moments);
+        surroundings.active(a).map(move |(b, r_ab, vf)| self.pair(particles, slip, factor, (b, &r_ab, vf)))
+    }
+
+    /// What the weights of a row are multiplied by.
+    pub fn factor<const D: usize>(self, moments: &Moments<D>) -> f64 {
+        match self {
             Self::TwoPoint => 2.0 / (moments.position_divergence() / D as f64),
             Self::Central { moment } => 2.0 * (D + 2) as f64 / moment,
+        }
+    }
+
+    /// The pair with `b`, r_ab in m away and of the weight V F_ab in 1/m2, in a row of that [`factor`](Self::factor).
+    #[inline]
+    pub fn pair<const D: usize>(
+        self,
+        particles: &Particles<D>,
+        slip: Slip,
+        factor: f64,
+        (b, r_ab, vf): (usize, &Vector<D>, f64),
+    ) -> Pair<D> {
+        let original = particles.original(b);
+        let is_solid = original < particles.solids();
+        let wall = if is_solid { wall_factor(particles, original, r_ab, slip) } else { 1.0 };
+        let line = match self {
+            Self::TwoPoint => None,
+            Self::Central { .. } => Some(r_ab / r_ab.norm()),
         };
-        surroundings.active(a).map(move |(b, r_ab, vf)| {
-            let original = particles.original(b);
-            let is_solid = original < solids;
-            let wall = if is_solid { wall_factor(particles, original, &r_ab, slip) } else { 1.0 };
-            let line = match self {
-                Self::TwoPoint => None,
-                Self::Central { .. } => Some(r_ab / r_ab.norm()),
-            };
-            Pair { with: b, is_solid, coefficient: factor * wall * vf, line }
-        })
+        Pair { with: b, is_solid, coefficient: factor * wall * vf, line }
     }
 
     /// laplacian(v) at fluid particle `a` in 1/(m s).
