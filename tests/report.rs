@@ -104,7 +104,11 @@ fn a_study_has_a_page_with_its_table() {
     );
     page(&folder.path().join("st/runs"), "wcsph-0.04");
     let (_, data) = page(folder.path(), "st");
-    assert_eq!(headings(&data), ["Runs", "Error over run time", "How the runs ended", "Picture"]);
+    let wanted = ["Runs", "Error over run time", "Gauges and bodies", "How the runs ended", "Picture"];
+    assert_eq!(headings(&data), wanted);
+    let plot = &data["sections"][2]["parts"][0]["plots"][0];
+    let labels = plot["curves"].as_array().unwrap().iter().map(|curves| &curves["labels"][0]);
+    assert_eq!(labels.collect::<Vec<_>>(), ["wcsph-0.08", "wcsph-0.04"]);
     let table = &data["sections"][0]["parts"][0];
     assert_eq!(table["rows"].as_array().unwrap().len(), 2);
     assert_eq!(table["links"][1], "runs/wcsph-0.04/report.html");

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use serde::Serialize;
 
 /// Intervals of a curve, each with its least and its largest value.
-const INTERVALS: usize = 400;
+pub const INTERVALS: usize = 400;
 
 /// One plot.
 #[derive(Debug, Serialize)]
@@ -33,7 +33,12 @@ pub struct Curves {
 impl Curves {
     /// Lines through all rows that show at the size of a screen.
     pub fn lines(x: &[Option<f64>], columns: Vec<(String, Vec<Option<f64>>)>) -> Self {
-        let kept = kept_rows(x.len(), &columns);
+        Self::thinned(x, columns, INTERVALS)
+    }
+
+    /// Lines through rows of so many intervals, those of their least and largest values.
+    pub fn thinned(x: &[Option<f64>], columns: Vec<(String, Vec<Option<f64>>)>, intervals: usize) -> Self {
+        let kept = kept_rows(x.len(), &columns, intervals);
         let kept: Vec<usize> = kept.into_iter().filter(|&k| x[k].is_some()).collect();
         let thinned =
             |column: &[Option<f64>]| kept.iter().map(|&k| column[k].map(|y| rounded(y, 5))).collect();
@@ -76,8 +81,8 @@ impl Curves {
 }
 
 /// Of each interval of rows the first, the first gap, and the least and largest of each column; and the last row.
-fn kept_rows(count: usize, columns: &[(String, Vec<Option<f64>>)]) -> BTreeSet<usize> {
-    let length = count.div_ceil(INTERVALS).max(1);
+fn kept_rows(count: usize, columns: &[(String, Vec<Option<f64>>)], intervals: usize) -> BTreeSet<usize> {
+    let length = count.div_ceil(intervals).max(1);
     let mut kept: BTreeSet<usize> = (0..count).step_by(length).chain(count.checked_sub(1)).collect();
     for start in (0..count).step_by(length) {
         for (_, column) in columns {

@@ -4,10 +4,16 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::plots::{Curves, Plot};
+use super::plots::{Curves, INTERVALS, Plot};
 use super::sheet::Sheet;
 use super::{FILE, Page, Part, Section, Table, pictures, read_json};
 use crate::Result;
+use crate::output::picture::gallery::{GAUGES, quantity};
+
+/// Runs whose curves share a plot; of more each scheme has plots of its own.
+const TOGETHER: usize = 8;
+/// Intervals of all curves of a page that runs recorded, some 50 bytes each.
+const ROOM: usize = 60_000;
 
 /// Gathers the page of the study in `folder`.
 pub fn page(folder: &Path) -> Result<Page> {
@@ -41,6 +47,11 @@ pub fn page(folder: &Path) -> Result<Page> {
             parts: vec![Part::Plots { plots: measures(&sheet)? }],
         },
     ];
+    let recorded = recorded(folder, &rows, column("run"), column("scheme"))?;
+    if !recorded.is_empty() {
+        let parts = vec![Part::Plots { plots: recorded }];
+        sections.push(Section { heading: "Gauges and bodies".into(), notes: vec![], parts });
+    }
     if let Some(ends) = ends(folder, &rows, column("run")) {
         sections.push(ends);
     }
@@ -101,6 +112,67 @@ fn measures(sheet: &Sheet) -> Result<Vec<Plot>> {
         });
     }
     Ok(plots)
+}
+
+/// Columns of the tables of one run.
+struct Recorded {
+    scheme: String,
+    /// Its name in the study.
+    run: String,
+    times: Vec<Option<f64>>,
+    columns: Vec<(String, Vec<Option<f64>>)>,
+}
+
+/// A plot of each gauge, force and velocity of a body, the runs beside each other; quantities that nothing changes are left out.
+fn recorded(
+    folder: &Path,
+    rows: &[Vec<Value>],
+    run: Option<usize>,
+    scheme: Option<usize>,
+) -> Result<Vec<Plot>> {
+    let word = |row: &[Value], column: usize| row[column].as_str().unwrap_or_default().to_owned();
+    let mut tables = vec![];
+    for (row, (run, scheme)) in rows.iter().zip(std::iter::repeat(run.zip(scheme)).flatten()) {
+        let (place, scheme) = (word(row, run), word(row, scheme));
+        for name in GAUGES.into_iter().chain(["bodies.csv"]) {
+            let path = folder.join(&place).join(name);
+            if path.is_file() {
+                let sheet = Sheet::read(&path)?;
+                let Some(times) = sheet.numbers("time_s")? else { continue };
+                let mut columns = vec![];
+                for head in sheet.head.iter().filter(|head| *head != "time_s") {
+                    if name != "bodies.csv" || quantity(head).1 == "m/s" {
+                        columns.push((head.clone(), sheet.numbers(head)?.unwrap_or_default()));
+                    }
+                }
+                let run = place.trim_start_matches("runs/").to_owned();
+                tables.push(Recorded { scheme: scheme.clone(), run, times, columns });
+            }
+        }
+    }
+    let intervals = ROOM / tables.iter().map(|table| table.columns.len()).sum::<usize>().max(1);
+    let intervals = intervals.clamp(INTERVALS / 8, INTERVALS);
+    let mut plots: Vec<(String, Plot)> = vec![];
+    let mut moves: Vec<bool> = vec![];
+    for Recorded { scheme, run, times, columns } in tables {
+        for (name, numbers) in columns {
+            let (title, unit) = quantity(&name);
+            let title = if rows.len() > TOGETHER { format!("{title}, {scheme}") } else { title };
+            let at = plots.iter().position(|(known, plot)| *known == name && plot.title == title);
+            let at = at.unwrap_or_else(|| {
+                let y = if unit == "1" { title.clone() } else { format!("{title}, {unit}") };
+                let plot = Plot { title, x: "time, s".into(), y, log: false, curves: vec![] };
+                plots.push((name, plot));
+                moves.push(false);
+                plots.len() - 1
+            });
+            let mut values = numbers.iter().flatten();
+            let first = values.next();
+            moves[at] |= values.any(|value| Some(value) != first);
+            plots[at].1.curves.push(Curves::thinned(&times, vec![(run.clone(), numbers)], intervals));
+        }
+    }
+    Ok(plots.into_iter().zip(moves).filter_map(|((_, plot), moves)| moves.then_some(plot)).collect())
 }
 
 /// What the summaries of the runs say.

@@ -25,9 +25,10 @@ macro_rules! studies {
 }
 
 /// Names and TOML texts of the built-in studies, in the order in which they are listed.
-pub const STUDIES: [(&str, &str); 9] = studies![
+pub const STUDIES: [(&str, &str); 10] = studies![
     "paper_comparison",
     "paper_comparison_3d",
+    "sliding_box",
     "convergence_taylor_green",
     "convergence_stretching_drop",
     "convergence_standing_wave",
