@@ -9,11 +9,8 @@
 //! drifts into another slab moves to its rank, and liquid within reach of another slab (or whose periodic copy is) has a ghost there.
 //! Every rank keeps all solids, numbered alike, as geometry, which costs memory but no traffic: bodies move alike on all ranks.
 //! Each solid particle is *held* by one rank, the one whose slab it is in, which alone has neighbours, pressure
-//! unknowns and fields for it; a dummy goes with the wall particle it is tied to. The others get
-//! the fields of those near their slab by the same [`Halo::refresh`], in place.
-//!
-//! Hence the reach of ghosts: a support, and on top of it the longest tie, since a dummy may lie that far outside the slab of
-//! the rank that holds it.
+//! unknowns and fields for it. The others get the fields of those within a support of their slab, and of the wall particles that dummies among
+//! them are tied to, by the same [`Halo::refresh`], in place.
 
 use crate::parallel::partition::Slabs;
 use crate::parallel::{self, Packed, Ranks};
@@ -163,17 +160,11 @@ impl<const D: usize> Halo<D> {
         Self { domain, reach, ..Self::default() }
     }
 
-    /// Spreads `particles` and their like over `ranks`.
-    pub fn over(self, ranks: Ranks, particles: &Particles<D>) -> Self {
+    /// Spreads particles over `ranks`.
+    pub fn over(self, ranks: Ranks) -> Self {
         if !ranks.are_several() {
             return self;
         }
-        let walls = particles.walls().len();
-        let ties = particles.dummies().map(|d| {
-            let wall = particles.tie[d - walls] as usize;
-            (particles.position[d][0] - particles.position[wall][0]).abs()
-        });
-        let reach = self.reach + ties.fold(0.0, f64::max);
         let nobody = vec![vec![]; ranks.count()];
         let peers = Peers {
             slabs: Slabs::default(),
@@ -187,19 +178,12 @@ impl<const D: usize> Halo<D> {
             liquid_in: vec![0; ranks.count()],
             tally: Tally::default(),
         };
-        Self { ranks, reach, peers: Some(peers), ..self }
+        Self { ranks, peers: Some(peers), ..self }
     }
 
-    /// Tells of bodies and whether they move. They may turn, which lengthens ties along x to their whole length, and cover walls, the
-    /// dummies of which are then tied to others within a support.
-    pub fn let_bodies_in(&mut self, particles: &Particles<D>, support: f64, they_move: bool) {
+    /// Tells whether solids move, or are tied otherwise, with every step.
+    pub fn let_solids_move(&mut self, they_move: bool) {
         self.solids_move = they_move;
-        let walls = particles.walls().len();
-        let tie =
-            |d: usize| (particles.position[d] - particles.position[particles.tie[d - walls] as usize]).norm();
-        if self.peers.is_some() {
-            self.reach = 2.0 * support + particles.dummies().map(tie).fold(0.0, f64::max);
-        }
     }
 
     /// The ranks that it spans.
@@ -300,7 +284,7 @@ impl<const D: usize> Halo<D> {
             if std::mem::take(&mut peers.are_of_old) || Slabs::are_uneven(&self.ranks, work, total) {
                 // Half way to what was measured: clocks are noisy, and the next look is near.
                 let each = 0.5 * (work / count.max(1.0) + total / liquid.max(1.0));
-                peers.slabs = Slabs::balanced(&self.ranks, x, each, 0.25 * self.reach);
+                peers.slabs = Slabs::balanced(&self.ranks, x, each, 0.5 * self.reach);
                 peers.tally.cuts += 1;
                 are_stale = true;
             }
@@ -386,11 +370,16 @@ impl<const D: usize> Halo<D> {
     /// Gives the ghosts the values of their originals, and solids held elsewhere those that they have there, of `kinds` that have
     /// changed or matter; `field` has one entry a particle, ghosts included.
     pub fn refresh<T: Packed>(&self, kinds: Kinds, originals: &[u32], field: &mut [T]) {
-        let owned = field.len() - originals.len();
         if let Some(peers) = &self.peers {
+            let owned = field.len() - originals.len();
             peers.refresh(kinds, &self.ranks, owned + self.offset.len(), field);
         }
-        let (own, ghosts) = field.split_at_mut(owned);
+        self.copy(originals, field);
+    }
+
+    /// Gives the ghosts of this rank's own particles the values of their originals.
+    pub fn copy<T: Packed>(&self, originals: &[u32], field: &mut [T]) {
+        let (own, ghosts) = field.split_at_mut(field.len() - originals.len());
         for (ghost, &original) in ghosts[..self.offset.len()].iter_mut().zip(originals) {
             *ghost = own[original as usize];
         }
@@ -422,27 +411,32 @@ impl<const D: usize> Peers<D> {
         self.holds.clear();
         self.solids_out.iter_mut().chain(&mut self.solids_in).for_each(Vec::clear);
         let mut copies = vec![];
-        for a in 0..particles.solids() {
-            let r = &particles.position[a];
-            let held_as = if a < walls { a } else { particles.tie[a - walls] as usize };
-            let holder = self.slabs.owner(particles.position[held_as][0]);
-            self.holds.push(holder == ranks.rank());
+        // Solids, and the ranks that need them.
+        let mut needed: Vec<(u32, usize)> = vec![];
+        let holder = |a: u32| self.slabs.owner(particles.position[a as usize][0]);
+        for a in 0..particles.solids() as u32 {
+            let r = &particles.position[a as usize];
+            self.holds.push(holder(a) == ranks.rank());
             copies.clear();
-            copies.push((a as u32, Vector::zeros()));
+            copies.push((a, Vector::zeros()));
             if let Some(domain) = domain {
-                domain.copies(a as u32, r, reach, &mut copies);
+                domain.copies(a, r, reach, &mut copies);
             }
-            let near = |q: usize| {
-                copies.iter().any(|(_, offset)| self.slabs.near(r[0] + offset[0], reach).contains(&q))
-            };
-            if holder != ranks.rank() {
-                if near(ranks.rank()) {
-                    self.solids_in[holder].push(a as u32);
+            let tie = (a as usize).checked_sub(walls).map(|dummy| particles.tie[dummy]);
+            for (_, offset) in &copies {
+                for q in self.slabs.near(r[0] + offset[0], reach) {
+                    let others = std::iter::once(a).chain(tie).filter(|a| holder(*a) != q);
+                    needed.extend(others.map(|a| (a, q)));
                 }
-                continue;
             }
-            for q in (0..ranks.count()).filter(|q| *q != holder && near(*q)) {
-                self.solids_out[q].push(a as u32);
+        }
+        needed.sort_unstable();
+        needed.dedup();
+        for (a, q) in needed {
+            match holder(a) {
+                holder if holder == ranks.rank() => self.solids_out[q].push(a),
+                holder if q == ranks.rank() => self.solids_in[holder].push(a),
+                _ => {}
             }
         }
     }

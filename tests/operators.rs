@@ -72,7 +72,7 @@ impl<const D: usize> Water<D> {
         let wet = |a| walls.threshold(&particles, a);
         neighbors.update(&particles.position, &Layout::of(&particles), &smoothing, support, wet);
         let mut active = vec![];
-        walls.mark_active(&particles, &neighbors, &mut active);
+        walls.mark_active(&particles, &neighbors, &Halo::default(), &mut active);
         let mut water =
             Self { params, particles, neighbors, active, moments: vec![], surface: vec![], walls, lattice };
         let around = water.around();

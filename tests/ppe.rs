@@ -65,7 +65,7 @@ impl<const D: usize> Water<D> {
         let wet = |a| walls.threshold(&particles, a);
         neighbors.update(&particles.position, &Layout::of(&particles), &smoothing, support, wet);
         let mut active = vec![];
-        walls.mark_active(&particles, &neighbors, &mut active);
+        walls.mark_active(&particles, &neighbors, &Halo::default(), &mut active);
         let position = &particles.position;
         let around = Surroundings { position, neighbors: &neighbors, active: &active, volume };
         let moments: Vec<_> = (0..particles.len()).map(|a| around.moments(a)).collect();

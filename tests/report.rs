@@ -100,7 +100,7 @@ fn a_study_has_a_page_with_its_table() {
     let folder = tempfile::tempdir().unwrap();
     done(
         folder.path(),
-        "study dam_break_2d --schemes wcsph --spacings 0.08,0.04 --until 0.05 --threads 1 --out st -q",
+        "study still_water_2d --schemes wcsph --spacings 0.08,0.04 --until 0.05 --threads 1 --out st -q",
     );
     page(&folder.path().join("st/runs"), "wcsph-0.04");
     let (_, data) = page(folder.path(), "st");

@@ -23,6 +23,7 @@ pub mod extrapolation;
 pub mod kinematic;
 pub mod repulsion;
 
+use crate::halo::{Halo, Kinds};
 use crate::kernel::LatticeSums;
 use crate::neighbors::Neighbors;
 use crate::particles::{Particles, Vector};
@@ -94,17 +95,24 @@ impl<const D: usize> DummyWalls<D> {
     }
 
     /// Marks liquid, wet walls and their dummies in `active` (one entry a particle).
-    pub fn mark_active(&self, particles: &Particles<D>, neighbors: &Neighbors<D>, active: &mut Vec<bool>) {
+    pub fn mark_active(
+        &self,
+        particles: &Particles<D>,
+        neighbors: &Neighbors<D>,
+        halo: &Halo<D>,
+        active: &mut Vec<bool>,
+    ) {
         let is_wet = |(a, threshold): (usize, &f64)| {
             let row = neighbors.row(a);
             !row.index.is_empty() && row.split().0.kernel_sum() >= *threshold
         };
         active.clear();
         active.extend(self.threshold.iter().enumerate().map(is_wet));
-        for &wall in &particles.tie {
-            active.push(active[wall as usize]);
-        }
         active.resize(particles.len(), true);
+        halo.refresh(Kinds::Solids, particles.originals(), active);
+        let (walls, rest) = active.split_at_mut(particles.walls().len());
+        rest.iter_mut().zip(&particles.tie).for_each(|(dummy, wall)| *dummy = walls[*wall as usize]);
+        halo.copy(particles.originals(), active);
     }
 
     /// rho (g - a_wall), the gradient of the pressure at solid particle `w`, in Pa/m.
@@ -122,8 +130,8 @@ impl<const D: usize> DummyWalls<D> {
         (0.5 * (self.pressure_gradient(d) + self.pressure_gradient(wall))).dot(&step)
     }
 
-    /// Extends the wall pressures to the dummies, Eq. (1).
-    pub fn extend_pressure(&self, particles: &mut Particles<D>, active: &[bool]) {
+    /// Extends the wall pressures, which all ranks that need them know, to the dummies, Eq. (1).
+    pub fn extend_pressure(&self, particles: &mut Particles<D>, halo: &Halo<D>, active: &[bool]) {
         let dummies = particles.dummies();
         let mut pressure = std::mem::take(&mut particles.pressure);
         let (walls, rest) = pressure.split_at_mut(dummies.start);
@@ -134,6 +142,7 @@ impl<const D: usize> DummyWalls<D> {
                 false => 0.0,
             };
         });
+        halo.copy(particles.originals(), &mut pressure);
         particles.pressure = pressure;
     }
 }

@@ -159,7 +159,7 @@ impl<const D: usize> Isph<D> {
         Self {
             walls: super::dummy_walls(&params, particles, &lattice, &mut support.neighbors),
             ranks: params.ranks,
-            halo: super::halo(&params, particles),
+            halo: super::halo(&params),
             lattice,
             solver,
             velocity_solver,
@@ -195,8 +195,7 @@ impl<const D: usize> Isph<D> {
         let halo = &self.halo;
         let threshold = |a| if halo.holds(a) { walls.threshold(particles, a) } else { f64::INFINITY };
         support.neighbors.search(kernel, h, &particles.position, &Layout::of(particles), threshold);
-        walls.mark_active(particles, &support.neighbors, &mut support.active);
-        self.halo.refresh(Kinds::Solids, particles.originals(), &mut support.active);
+        walls.mark_active(particles, &support.neighbors, halo, &mut support.active);
         let surroundings = self.support.around(particles);
         let (count, owned) = (particles.len(), particles.owned());
         self.moments.resize(count, Moments::default());
@@ -338,8 +337,8 @@ impl<const D: usize> Isph<D> {
             }
         }
         self.assembler.scatter(particles);
-        self.walls.extend_pressure(particles, &self.support.active);
         self.halo.share(Kinds::All, particles, |particles| &mut particles.pressure);
+        self.walls.extend_pressure(particles, &self.halo, &self.support.active);
         clipped
     }
 

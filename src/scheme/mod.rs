@@ -115,12 +115,10 @@ fn sort<const D: usize>(
     particles.reorder_fluid(order, scratch);
 }
 
-/// Ghosts and owners of `particles`, the whole scene.
-fn halo<const D: usize>(params: &Params<D>, particles: &Particles<D>) -> Halo<D> {
-    let mut halo = Halo::new(params.periodic, params.support()).over(params.ranks, particles);
-    if !params.bodies.is_empty() {
-        halo.let_bodies_in(particles, params.support(), params.bodies.can_move());
-    }
+/// Ghosts, and owners on all ranks.
+fn halo<const D: usize>(params: &Params<D>) -> Halo<D> {
+    let mut halo = Halo::new(params.periodic, params.support()).over(params.ranks);
+    halo.let_solids_move(params.bodies.can_move());
     halo
 }
 

@@ -283,7 +283,7 @@ impl<const D: usize> Wcsph<D> {
         Self {
             state_equation: Tait::new(params.density, method.sound_speed),
             ranks: params.ranks,
-            halo: super::halo(&params, particles),
+            halo: super::halo(&params),
             walls,
             neighbors,
             rows: Neighbors::default(),
@@ -347,8 +347,7 @@ impl<const D: usize> Wcsph<D> {
 
     /// Which walls are wet.
     fn mark_wet(&mut self, particles: &Particles<D>) {
-        self.walls.mark_active(particles, &self.neighbors, &mut self.wet);
-        self.halo.refresh(Kinds::Solids, particles.originals(), &mut self.wet);
+        self.walls.mark_active(particles, &self.neighbors, &self.halo, &mut self.wet);
         self.active.clone_from(&self.wet);
         if !self.method.wall_pressure {
             self.active[..particles.solids()].fill(false);
