@@ -10,24 +10,26 @@
 //!
 //! **How far it carries.** A step of `isph_df` in 3D takes a rank with n particles of liquid and G ghosts about
 //!
-//! t = 1.9 us (n + 0.8 G) + 1.4 us n + 140 collective calls + the messages of multigrid                  (1)
+//! t = 1.9 us (n + 0.8 G) + 1.4 us n + 125 collective calls + the messages of multigrid                  (1)
 //!
 //! The first term is everything but the solve; its factor of G is what two ranks take longer than half of one. The second is the solve while
 //! the liquid is calm, 2.2 us in a splash. Measured in `dam_break_3d_fixed` on two cores: iterations on 1, 2, 4, 8 ranks 4.8, 4.9, 5.2,
-//! 5.4; ghosts of all ranks over the liquid 0.16, 0.49, 1.12 on 2, 4, 8; a rank and step make 41 calls beside PETSc's and 50 reductions in
-//! PETSc, send 70 doubles a ghost (those of solids beside the cut among them) and some 20 messages of 24 kB in PETSc's products. With 20 us a call, the share of latency is 3 ms.
+//! 5.4; ghosts of all ranks over the liquid 0.07, 0.19, 0.49 on 2, 4, 8; a rank and step make 26 calls beside PETSc's and 50 reductions in
+//! PETSc, send 46 doubles a ghost (those of solids beside the cut among them) and some 20 messages of 24 kB in PETSc's products. With 20 us a call, the share of latency is 2.5 ms.
 //!
-//! A slab has ghosts 5.3 spacings deep on both sides, G = 11 A with A particles in the cross-section of the liquid. For the same flood
+//! A slab has ghosts 2.4 spacings deep on both sides, G = 5 A with A particles in the cross-section of the liquid. For the same flood
 //! with 10^7 particles, spacing 4.1 mm, A is 33 thousand, with 10^8, 1.9 mm, 154 thousand. By (1), against n alone:
 //!
 //! | liquid | ranks | n | G | step | of the ideal |
 //! |---|---|---|---|---|---|
-//! | 10^7 | 16 | 625 k | 352 k | 2.6 s | 0.79 |
-//! | 10^7 | 64 | 156 k | 352 k | 1.1 s | 0.49 |
-//! | 10^8 | 64 | 1.6 M | 1.6 M | 7.6 s | 0.68 |
-//! | 10^8 | 256 | 0.39 M | 1.6 M | 3.8 s | 0.34 |
+//! | 10^7 | 16 | 625 k | 165 k | 2.3 s | 0.89 |
+//! | 10^7 | 64 | 156 k | 165 k | 0.77 s | 0.67 |
+//! | 10^8 | 64 | 1.6 M | 0.77 M | 6.3 s | 0.82 |
+//! | 10^8 | 256 | 0.39 M | 0.77 M | 2.5 s | 0.52 |
 //!
-//! So slabs are what gives way first, long before latency: blocks of 390 thousand particles would have G = n / 2 and 0.81 of the ideal.
+//! The factor of G was measured when ghosts were 5.3 spacings deep. Were the loss still the same, the last column would be 0.79, 0.49, 0.68 and 0.34.
+//!
+//! So slabs are what gives way first, long before latency: blocks of 390 thousand particles would have G = n / 5 and 0.92 of the ideal.
 //! Second come solids, which all ranks keep, 0.2 kB each: 3 million for 10^7 particles, 16 million or 3 GB a rank for 10^8; third the scene gathered
 //! on the first rank for particle files, 6 GB there. With 32-bit indices hypre counts the entries of the sparse matrix, 20 a row, up to 10^8 rows, and
 //! a rank can hold 37 million rows of the full one; from there on PETSc with 64-bit indices is needed.
