@@ -25,6 +25,7 @@ use crate::operators::Surroundings;
 use crate::particles::{Particles, Vector};
 use crate::scheme::{Compressibility, Params, Scheme};
 use crate::{Error, Result};
+use rayon::prelude::*;
 
 /// Steps between two looks at volume, density and divergence: they take a search and a pass over all pairs, half a step of `wcsph`.
 pub const SAMPLE: u64 = 50;
@@ -222,12 +223,19 @@ impl<const D: usize> Invariants<D> {
                 active: fields.active,
                 volume: params.volume(),
             };
-            for a in part.clone().filter(|a| is_inside(*a)) {
+            let of = |a: usize| {
                 let moments = surroundings.moments(a);
                 let divergence = surroundings.divergence(a, &particles.velocity, &moments);
-                if !neighbors.has_solids(a)
-                    && let Some(distance) = surroundings.distance_from_plane(a, &particles.pressure, &moments)
-                {
+                let distance = match neighbors.has_solids(a) {
+                    true => None,
+                    false => surroundings.distance_from_plane(a, &particles.pressure, &moments),
+                };
+                (a, divergence, distance)
+            };
+            // Summed up in one order: sums must not depend on the threads.
+            let inside = part.into_par_iter().with_min_len(256).filter(|a| is_inside(*a));
+            for (a, divergence, distance) in inside.map(of).collect::<Vec<_>>() {
+                if let Some(distance) = distance {
                     rough += distance * distance;
                     pressure += particles.pressure[a].powi(2);
                 }

@@ -230,6 +230,8 @@ pub struct Neighbors<const D: usize> {
     fluid_cells: CellList<D>,
     /// Ghosts of fluid, where pairs of liquid are listed once.
     ghost_cells: CellList<D>,
+    /// Solids that are looked at.
+    near: Vec<u32>,
     groups: Vec<Group>,
 }
 
@@ -430,8 +432,10 @@ impl<const D: usize> Neighbors<D> {
         };
         let is_inside = |r: &Vector<D>| (0..D).all(|d| min[d] <= r[d] && r[d] <= max[d]);
         let near = solids.chain(solid_ghosts).filter(|&a| solids_see_solids || is_inside(&position[a]));
+        self.near.clear();
+        self.near.extend(near.map(|a| a as u32));
         let grid = Grid::covering((min, max), position.len(), support);
-        self.solid_cells.sort(&grid, near, position);
+        self.solid_cells.sort(&grid, self.near.iter().map(|a| *a as usize), position);
         let (with_fluid, apart) = if liquid_once { (0..0, ghosts) } else { (ghosts, 0..0) };
         self.fluid_cells.sort(&grid, fluid.chain(with_fluid), position);
         self.ghost_cells.sort(&grid, apart, position);
@@ -523,6 +527,15 @@ impl<const D: usize> Neighbors<D> {
     pub fn has_solids(&self, a: usize) -> bool {
         let (chunk, k) = (&self.chunks[a / CHUNK], a % CHUNK);
         chunk.start[k] + (chunk.liquid[k] as usize) < chunk.start[k + 1]
+    }
+
+    /// Those of the particles below number `end` that have neighbours, in order. Whole chunks of solids far from the liquid have none, and
+    /// cost nothing.
+    pub fn with_neighbors(&self, end: usize) -> impl Iterator<Item = usize> + '_ {
+        let chunks = self.chunks.iter().enumerate().take(end.div_ceil(CHUNK));
+        let with_any = chunks.filter(|(_, chunk)| chunk.start.last() > Some(&0));
+        let rows = with_any.flat_map(|(c, chunk)| (c * CHUNK..).zip(chunk.start.windows(2)));
+        rows.filter(|(_, row)| row[0] < row[1]).map(|(a, _)| a).take_while(move |a| *a < end)
     }
 
     /// Number of listed pairs: each direction counts, where it is listed.

@@ -10,6 +10,7 @@ use crate::particles::{Particles, Vector};
 use crate::scheme::still::Still;
 use crate::scheme::{Scheme, StepReport};
 use crate::{Error, Result};
+use rayon::prelude::*;
 
 /// A simulation in progress.
 pub struct Simulation<const D: usize> {
@@ -44,9 +45,11 @@ pub struct Simulation<const D: usize> {
     warned_of_step: bool,
 }
 
-/// What a step starts from: position, velocity, pressure and id of each particle, and what scheme and bodies keep.
+/// What a step starts from: pressure of each particle; position, velocity and id of those that may move; what scheme and bodies keep.
 #[derive(Default)]
 struct State<const D: usize> {
+    /// Those before it stay where they are.
+    first: usize,
     particles: (Vec<Vector<D>>, Vec<Vector<D>>, Vec<f64>, Vec<u64>),
     scheme: Vec<f64>,
     bodies: Vec<f64>,
@@ -286,15 +289,13 @@ impl<const D: usize> Simulation<D> {
 
     /// What an adaptive step should be done again for.
     fn flaw(&self, invariants: &Invariants<D>) -> Option<&'static str> {
-        let is_lost = |a: usize| matches!(self.fate(&self.particles.position[a]), Fate::ThroughWall(_));
+        let is_lost = |(_, fate): &(usize, Fate)| matches!(fate, Fate::ThroughWall(_));
         match () {
             () if self.control.fixed.is_some() => None,
             () if invariants.jumped_from(&self.invariants) => {
                 Some("the liquid gained energy that nothing gave it")
             }
-            () if self.ranks.any(self.particles.fluid().any(is_lost)) => {
-                Some("a particle went through a wall")
-            }
+            () if self.ranks.any(self.fates().iter().any(is_lost)) => Some("a particle went through a wall"),
             () => None,
         }
     }
@@ -318,11 +319,13 @@ impl<const D: usize> Simulation<D> {
 
     fn remember(&mut self) {
         self.particles.drop_ghosts();
+        let first = if self.scheme.bodies().can_move() { 0 } else { self.particles.solids() };
+        self.before.first = first;
         let (position, velocity, pressure, id) = &mut self.before.particles;
-        position.clone_from(&self.particles.position);
-        velocity.clone_from(&self.particles.velocity);
-        pressure.clone_from(&self.particles.pressure);
-        id.clone_from(&self.particles.id);
+        keep(position, &self.particles.position[first..]);
+        keep(velocity, &self.particles.velocity[first..]);
+        keep(pressure, &self.particles.pressure);
+        keep(id, &self.particles.id[first..]);
         self.before.scheme = self.scheme.state();
         if self.scheme.bodies().can_move() {
             self.before.bodies = self.scheme.bodies().state();
@@ -332,11 +335,11 @@ impl<const D: usize> Simulation<D> {
     /// Exchanges the present state with the one before the last step.
     pub fn swap_states(&mut self) {
         self.particles.drop_ghosts();
-        let (position, velocity, pressure, id) = &mut self.before.particles;
-        std::mem::swap(position, &mut self.particles.position);
-        std::mem::swap(velocity, &mut self.particles.velocity);
-        std::mem::swap(pressure, &mut self.particles.pressure);
-        std::mem::swap(id, &mut self.particles.id);
+        let State { first, particles: (position, velocity, pressure, id), .. } = &mut self.before;
+        exchange(position, &mut self.particles.position, *first);
+        exchange(velocity, &mut self.particles.velocity, *first);
+        exchange(pressure, &mut self.particles.pressure, 0);
+        exchange(id, &mut self.particles.id, *first);
         // What came from the scheme and its bodies fits them.
         let present = self.scheme.state();
         let _ = self.scheme.set_state(&self.before.scheme);
@@ -351,12 +354,14 @@ impl<const D: usize> Simulation<D> {
     /// Finite and bounded? A particle that leaves all its neighbours behind within one step has jumped, not flowed.
     fn watch(&self, dt: f64) -> Result<()> {
         let limit = self.speed_limit.min(self.margin / dt);
-        let runs_away = |a: usize| {
-            let finite = self.particles.position[a].iter().all(|x| x.is_finite());
+        let Particles { position, velocity, .. } = &self.particles;
+        let runs_away = |a: &usize| {
+            let finite = position[*a].iter().all(|x| x.is_finite());
             // The negation catches NaN.
-            !(finite && self.particles.velocity[a].norm() <= limit)
+            !(finite && velocity[*a].norm() <= limit)
         };
-        let Some(a) = self.particles.fluid().find(|&a| runs_away(a)) else { return Ok(()) };
+        let fluid = self.particles.fluid().into_par_iter().with_min_len(1024);
+        let Some(a) = fluid.find_first(runs_away) else { return Ok(()) };
         Err(Error::Run(format!(
             "particle {} is out of control, with a speed of {:.3e} m/s at {:?} (allowed are {limit:.3e} m/s): try a \
              smaller time step (--set time.step=... or time.courant=...)",
@@ -389,16 +394,11 @@ impl<const D: usize> Simulation<D> {
 
     /// Takes out particles that went over an open side for good, and any that got behind a wall.
     fn remove_leavers(&mut self) {
-        let particles = &self.particles;
-        let fates: Vec<(usize, Fate)> = particles
-            .fluid()
-            .map(|a| (a, self.fate(&particles.position[a])))
-            .filter(|(_, fate)| *fate != Fate::Stays)
-            .collect();
+        let fates = self.fates();
         if fates.is_empty() {
             return;
         }
-        let mut stays = vec![true; particles.len()];
+        let mut stays = vec![true; self.particles.len()];
         for (a, fate) in fates {
             stays[a] = false;
             let (r, v) = (&self.particles.position[a], &self.particles.velocity[a]);
@@ -409,8 +409,8 @@ impl<const D: usize> Simulation<D> {
                     log::warn!(
                         "step {}: particle {} went through the {wall} wall at {:?}: try a smaller time step",
                         self.step,
-                        particles.id[a],
-                        particles.position[a].as_slice()
+                        self.particles.id[a],
+                        self.particles.position[a].as_slice()
                     );
                 }
                 _ => self.totals.left += 1,
@@ -419,12 +419,29 @@ impl<const D: usize> Simulation<D> {
         self.particles.retain_fluid(|a| stays[a]);
     }
 
-    fn fate(&self, r: &Vector<D>) -> Fate {
-        match Fate::of(r, &self.enclosure, &self.gravity, self.margin) {
-            Fate::Stays if self.scheme.bodies().contain(r) => Fate::ThroughWall("body's"),
+    /// The liquid that does not stay, and where it is bound.
+    fn fates(&self) -> Vec<(usize, Fate)> {
+        let (bodies, Self { particles, enclosure, gravity, margin, .. }) = (self.scheme.bodies(), self);
+        let fate = |r: &Vector<D>| match Fate::of(r, enclosure, gravity, *margin) {
+            Fate::Stays if bodies.contain(r) => Fate::ThroughWall("body's"),
             fate => fate,
-        }
+        };
+        let fluid = particles.fluid().into_par_iter().with_min_len(1024);
+        let fates = fluid.map(|a| (a, fate(&particles.position[a])));
+        fates.filter(|(_, fate)| *fate != Fate::Stays).collect()
     }
+}
+
+fn keep<T: Copy>(kept: &mut Vec<T>, present: &[T]) {
+    kept.clear();
+    kept.extend_from_slice(present);
+}
+
+/// Exchanges what was kept with what is `present` from `first` on.
+fn exchange<T: Copy>(kept: &mut Vec<T>, present: &mut Vec<T>, first: usize) {
+    let rest = present.split_off(first);
+    present.extend_from_slice(kept);
+    *kept = rest;
 }
 
 /// Where a particle is bound.

@@ -102,12 +102,12 @@ impl<const D: usize> DummyWalls<D> {
         halo: &Halo<D>,
         active: &mut Vec<bool>,
     ) {
-        let is_wet = |(a, threshold): (usize, &f64)| {
-            let row = neighbors.row(a);
-            !row.index.is_empty() && row.split().0.kernel_sum() >= *threshold
-        };
+        let walls = self.threshold.len();
         active.clear();
-        active.extend(self.threshold.iter().enumerate().map(is_wet));
+        active.resize(walls, false);
+        for a in neighbors.with_neighbors(walls) {
+            active[a] = neighbors.row(a).split().0.kernel_sum() >= self.threshold[a];
+        }
         active.resize(particles.len(), true);
         halo.refresh(Kinds::Solids, particles.originals(), active);
         let (walls, rest) = active.split_at_mut(particles.walls().len());

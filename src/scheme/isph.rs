@@ -363,11 +363,12 @@ impl<const D: usize> Isph<D> {
             *new = predicted[a] - factor * gradient;
             *change = *new - particles.velocity[a];
         });
-        let mut largest = 0.0_f64;
-        for (v, (change, new)) in particles.velocity[first..].iter_mut().zip(&self.change) {
+        let changed = particles.velocity[first..].par_iter_mut().zip(&self.change).with_min_len(1024);
+        let squares = changed.map(|(v, (change, new))| {
             *v = *new;
-            largest = largest.max(change.norm_squared());
-        }
+            change.norm_squared()
+        });
+        let largest = squares.reduce(|| 0.0, f64::max);
         self.acceleration = self.ranks.max(largest.sqrt() / dt);
     }
 
@@ -462,11 +463,11 @@ impl<const D: usize> Isph<D> {
     /// r^(n+1) = r* + (dt / 2) (v^(n+1) - v^n), after collisions have had their say in v^(n+1).
     fn finish_positions(&mut self, particles: &mut Particles<D>, dt: f64) {
         let first = particles.solids();
-        let fluid = particles.position[first..].iter_mut().zip(&particles.velocity[first..]);
-        for ((r, v), (change, new)) in fluid.zip(&self.change) {
+        let fluid = (&mut particles.position[first..], &particles.velocity[first..], &self.change);
+        fluid.into_par_iter().with_min_len(1024).for_each(|(r, v, (change, new))| {
             // v^n = new - change; collisions may have moved v away from new.
             *r += 0.5 * dt * (v - new + change);
-        }
+        });
         self.halo.place(particles);
         self.halo.share(Kinds::Liquid, particles, |particles| &mut particles.velocity);
     }
@@ -594,7 +595,11 @@ impl<const D: usize> Scheme<D> for Isph<D> {
     }
 
     fn max_dt(&self, particles: &Particles<D>) -> f64 {
-        self.method.dt_limit(&self.params, self.ranks.max(fastest(particles)), self.acceleration)
+        self.method.dt_limit(
+            &self.params,
+            self.ranks.max(fastest(particles, self.bodies())),
+            self.acceleration,
+        )
     }
 
     fn fields(&self) -> Fields<'_, D> {

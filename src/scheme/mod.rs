@@ -92,15 +92,18 @@ const ACCELERATION_NUMBER: f64 = 0.25;
 /// without slip gains the energy of its fall within a hundred steps; at 0.02 the step is half as long as it needs to be.
 const VISCOUS_NUMBER: f64 = 0.04;
 
-/// r += dt v; solids move with their own velocity.
+/// r += dt v of the liquid and of ghosts; bodies place their solids themselves.
 fn drift<const D: usize>(particles: &mut Particles<D>, dt: f64) {
-    let moving = particles.position.par_iter_mut().zip(&particles.velocity).with_min_len(1024);
-    moving.for_each(|(r, v)| *r += dt * v);
+    let first = particles.solids();
+    let moving = particles.position[first..].par_iter_mut().zip(&particles.velocity[first..]);
+    moving.with_min_len(1024).for_each(|(r, v)| *r += dt * v);
 }
 
-/// Largest speed in m/s.
-fn fastest<const D: usize>(particles: &Particles<D>) -> f64 {
-    particles.velocity.iter().map(|v| v.norm_squared()).fold(0.0, f64::max).sqrt()
+/// Largest speed in m/s of the liquid and of bodies.
+fn fastest<const D: usize>(particles: &Particles<D>, bodies: &Bodies<D>) -> f64 {
+    let first = if bodies.can_move() { 0 } else { particles.solids() };
+    let squares = particles.velocity[first..].par_iter().with_min_len(1024).map(|v| v.norm_squared());
+    squares.reduce(|| 0.0, f64::max).sqrt()
 }
 
 /// Puts the fluid into cell order, without ghosts: neighbours are then close in memory.

@@ -339,8 +339,8 @@ impl<const D: usize> Wcsph<D> {
         let layout = Layout::of(particles).with_solids_blind_to_solids().with_liquid_once();
         self.neighbors.search(kernel, h, &particles.position, &layout, threshold);
         self.beside_liquid.clear();
-        let is_beside = |w: usize| !self.neighbors.row(w).index.is_empty();
-        self.beside_liquid.extend((0..solids).map(is_beside));
+        self.beside_liquid.resize(solids, false);
+        self.neighbors.with_neighbors(solids).for_each(|w| self.beside_liquid[w] = true);
         self.halo.borrowed().for_each(|w| self.beside_liquid[w] = true);
         self.beside_liquid.resize(particles.len(), true);
     }
@@ -790,16 +790,17 @@ impl<const D: usize> Wcsph<D> {
     /// The pressures that belong to the final densities, and what the step found out.
     fn conclude(&mut self, particles: &mut Particles<D>) {
         let (first, state_equation) = (particles.solids(), self.state_equation);
-        let (mut variation, mut acceleration) = (0.0_f64, 0.0_f64);
-        let fluid = particles.pressure[first..].iter_mut().zip(&mut self.crowding[first..]);
-        for (((p, crowding), density), rates) in fluid.zip(&self.density[first..]).zip(&self.rates) {
+        let (h, rest) = (self.params.smoothing_length(), self.params.density);
+        let fluid = (&mut particles.pressure[first..], &mut self.crowding[first..], &self.density[first..]);
+        let fluid = fluid.into_par_iter().zip(&self.rates).with_min_len(1024);
+        let each = fluid.map(|((p, crowding, density), rates)| {
             *p = state_equation.pressure(*density);
-            *crowding = density / self.params.density;
-            variation = variation.max((*crowding - 1.0).abs());
+            *crowding = density / rest;
             // Near a wall forces change over the distance from it, not over h.
-            let near_wall = self.params.smoothing_length() * rates.stiffness;
-            acceleration = acceleration.max(rates.acceleration.norm_squared()).max(near_wall * near_wall);
-        }
+            let near_wall = h * rates.stiffness;
+            ((*crowding - 1.0).abs(), rates.acceleration.norm_squared().max(near_wall * near_wall))
+        });
+        let (variation, mut acceleration) = each.reduce(|| (0.0, 0.0), |a, b| (a.0.max(b.0), a.1.max(b.1)));
         self.halo.share(Kinds::Liquid, particles, |particles| &mut particles.pressure);
         // A light body answers to the push of one particle with a multiple of that particle's acceleration.
         if !self.afloat.bodies.is_empty() {
@@ -1307,7 +1308,11 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
     }
 
     fn max_dt(&self, particles: &Particles<D>) -> f64 {
-        self.method.dt_limit(&self.params, self.ranks.max(fastest(particles)), self.acceleration)
+        self.method.dt_limit(
+            &self.params,
+            self.ranks.max(fastest(particles, self.bodies())),
+            self.acceleration,
+        )
     }
 
     fn fields(&self) -> Fields<'_, D> {
