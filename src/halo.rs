@@ -378,7 +378,7 @@ impl<const D: usize> Halo<D> {
     }
 
     /// Gives the ghosts of this rank's own particles the values of their originals.
-    pub fn copy<T: Packed>(&self, originals: &[u32], field: &mut [T]) {
+    pub fn copy<T: Copy>(&self, originals: &[u32], field: &mut [T]) {
         let (own, ghosts) = field.split_at_mut(field.len() - originals.len());
         for (ghost, &original) in ghosts[..self.offset.len()].iter_mut().zip(originals) {
             *ghost = own[original as usize];

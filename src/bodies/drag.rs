@@ -42,6 +42,8 @@ impl Drag {
 pub struct Grip<const D: usize> {
     /// The solid particle, of velocity u.
     pub solid: usize,
+    /// The body that it belongs to.
+    pub body: usize,
     /// v of the liquid in m/s.
     pub velocity: Vector<D>,
     /// In 1/s, negative.
@@ -51,18 +53,17 @@ pub struct Grip<const D: usize> {
 }
 
 impl<const D: usize> Bodies<D> {
-    /// Pairs (a, b, F_ab) of liquid a and solids b of bodies, in whose place ghosts may stand.
+    /// Pairs (a, b, F_ab) of liquid a and solids b of bodies, in whose place ghosts may stand, each behind the number of the body.
     pub fn beside_liquid(
         &self,
         particles: &Particles<D>,
         neighbors: &Neighbors<D>,
-    ) -> impl Iterator<Item = (usize, usize, f64)> {
+    ) -> impl Iterator<Item = (usize, (usize, usize, f64))> {
         let beside_solids = particles.fluid().filter(|a| neighbors.has_solids(*a));
-        let of_bodies = beside_solids.flat_map(|a| {
+        beside_solids.flat_map(move |a| {
             let solids = neighbors.row(a).split().1.iter();
-            solids.map(move |(b, _, f)| (a, b, f))
-        });
-        of_bodies.filter(|(_, b, _)| self.of(particles.original(*b)).is_some())
+            solids.filter_map(move |(b, _, f)| Some((self.of(particles.original(b))?, (a, b, f))))
+        })
     }
 
     /// Eq. (1) on each body from the `grips` of this rank's liquid on solids of bodies. All ranks ask together. `mass` is that of a
@@ -75,9 +76,8 @@ impl<const D: usize> Bodies<D> {
         grips: impl Iterator<Item = Grip<D>>,
     ) -> Vec<Drag> {
         let mut drags = vec![Drag::default(); self.list.len()];
-        for Grip { solid, velocity, rate, line } in grips {
+        for Grip { solid, body, velocity, rate, line } in grips {
             let b = particles.original(solid);
-            let Some(body) = self.of(b) else { continue };
             let at = match line {
                 Some(_) => particles.position[b],
                 None => particles.position[b] + particles.depth[b] * particles.normal[b],

@@ -152,27 +152,27 @@ fn recorded(
     }
     let intervals = ROOM / tables.iter().map(|table| table.columns.len()).sum::<usize>().max(1);
     let intervals = intervals.clamp(INTERVALS / 8, INTERVALS);
-    let mut plots: Vec<(String, Plot)> = vec![];
-    let mut moves: Vec<bool> = vec![];
+    // Each with the column that it shows, and whether anything changes that.
+    let mut plots: Vec<(String, Plot, bool)> = vec![];
     for Recorded { scheme, run, times, columns } in tables {
         for (name, numbers) in columns {
             let (title, unit) = quantity(&name);
             let title = if rows.len() > TOGETHER { format!("{title}, {scheme}") } else { title };
-            let at = plots.iter().position(|(known, plot)| *known == name && plot.title == title);
+            let at = plots.iter().position(|(known, plot, _)| *known == name && plot.title == title);
             let at = at.unwrap_or_else(|| {
                 let y = if unit == "1" { title.clone() } else { format!("{title}, {unit}") };
                 let plot = Plot { title, x: "time, s".into(), y, log: false, curves: vec![] };
-                plots.push((name, plot));
-                moves.push(false);
+                plots.push((name, plot, false));
                 plots.len() - 1
             });
+            let (_, plot, moves) = &mut plots[at];
             let mut values = numbers.iter().flatten();
             let first = values.next();
-            moves[at] |= values.any(|value| Some(value) != first);
-            plots[at].1.curves.push(Curves::thinned(&times, vec![(run.clone(), numbers)], intervals));
+            *moves |= values.any(|value| Some(value) != first);
+            plot.curves.push(Curves::thinned(&times, vec![(run.clone(), numbers)], intervals));
         }
     }
-    Ok(plots.into_iter().zip(moves).filter_map(|((_, plot), moves)| moves.then_some(plot)).collect())
+    Ok(plots.into_iter().filter_map(|(_, plot, moves)| moves.then_some(plot)).collect())
 }
 
 /// What the summaries of the runs say.

@@ -118,7 +118,7 @@ pub(super) fn exchange(mut parts: Vec<Vec<f64>>, incoming: &[usize]) -> Vec<Vec<
     let mut received: Vec<Vec<f64>> = incoming.iter().map(|count| vec![0.0; *count]).collect();
     received[own] = std::mem::take(&mut parts[own]);
     let at = |q: usize| world.process_at_rank(q as i32);
-    let count = parts.iter().chain(&received).count();
+    let count = 2 * parts.len();
     mpi::request::multiple_scope(count, |scope, requests| {
         for (q, part) in received.iter_mut().enumerate().filter(|(q, part)| *q != own && !part.is_empty()) {
             requests.add(at(q).immediate_receive_into(scope, &mut part[..]));

@@ -276,11 +276,12 @@ impl<const D: usize> Isph<D> {
         }
         let (form, moments, volume) = (self.viscous_form(), &self.moments, self.params.volume());
         let (Support { neighbors, active, .. }, bodies) = (&self.support, &self.afloat.bodies);
-        let wet = bodies.beside_liquid(particles, neighbors).filter(|(_, b, _)| active[*b]);
-        let grips = wet.map(|(a, b, f)| {
+        let wet = bodies.beside_liquid(particles, neighbors).filter(|(_, (_, b, _))| active[*b]);
+        let grips = wet.map(|(body, (a, b, f))| {
             let r_ab = particles.position[a] - particles.position[b];
             let pair = form.pair(particles, slip, form.factor(&moments[a]), (b, &r_ab, volume * f));
-            Grip { solid: b, velocity: particles.velocity[a], rate: nu * pair.coefficient, line: pair.line }
+            let (velocity, rate) = (particles.velocity[a], nu * pair.coefficient);
+            Grip { solid: b, body, velocity, rate, line: pair.line }
         });
         self.afloat.bodies.drags = bodies.drag(particles, self.params.mass(), &self.ranks, grips);
     }

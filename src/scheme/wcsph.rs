@@ -345,13 +345,16 @@ impl<const D: usize> Wcsph<D> {
         self.beside_liquid.resize(particles.len(), true);
     }
 
-    /// Which walls are wet.
+    /// Which walls are wet, and the moments of the liquid's supports, which do not count dry ones.
     fn mark_wet(&mut self, particles: &Particles<D>) {
         self.walls.mark_active(particles, &self.neighbors, &self.halo, &mut self.wet);
         self.active.clone_from(&self.wet);
         if !self.method.wall_pressure {
             self.active[..particles.solids()].fill(false);
             self.active[particles.solid_ghosts()].fill(false);
+        }
+        if self.wants_moments() {
+            self.measure(particles);
         }
     }
 
@@ -381,9 +384,8 @@ impl<const D: usize> Wcsph<D> {
         fluid.for_each(|(density, pressure)| *density = state_equation.density(*pressure));
     }
 
-    /// Pressures of liquid, by Eq. (1), and of walls. Not before, ranks wait for each other.
+    /// Pressures of liquid, by Eq. (1), and of walls.
     fn pressures(&mut self, particles: &mut Particles<D>) {
-        self.mark_wet(particles);
         self.halo.refresh(Kinds::Liquid, particles.originals(), &mut self.density);
         self.liquid_pressures(particles);
         if self.method.wall_pressure {
@@ -491,9 +493,6 @@ impl<const D: usize> Wcsph<D> {
 
     /// dv/dt and drho/dt of the liquid, and its surface.
     fn rates(&mut self, particles: &Particles<D>) {
-        if self.wants_moments() {
-            self.measure(particles);
-        }
         let pressure = &particles.pressure;
         let difference = |a: usize, index: &[u32; LANES]| {
             Lanes::new(index.map(|b| pressure[b as usize])) - Lanes::splat(pressure[a])
@@ -686,7 +685,11 @@ impl<const D: usize> Wcsph<D> {
     /// Position Verlet; see the module.
     fn symplectic(&mut self, particles: &mut Particles<D>, dt: f64, watch: &mut Stages) {
         watch.time("continuity", || self.continuity(particles, 0.5 * dt));
-        watch.time("pressure", || self.pressures(particles));
+        watch.time("pressure", || {
+            // Not before: here ranks wait for each other anyway.
+            self.mark_wet(particles);
+            self.pressures(particles);
+        });
         watch.time("rates", || self.rates(particles));
         self.kick(particles, dt);
         self.move_bodies(particles, dt);
@@ -703,6 +706,7 @@ impl<const D: usize> Wcsph<D> {
         self.before.clear();
         let now = particles.velocity[fluid.clone()].iter().zip(&self.density[fluid]);
         self.before.extend(now.map(|(v, density)| (*v, *density)));
+        watch.time("pressure", || self.mark_wet(particles));
         for reach in [0.5 * dt, dt] {
             if self.method.acoustic_damper > 0.0 {
                 watch.time("continuity", || {
@@ -747,9 +751,9 @@ impl<const D: usize> Wcsph<D> {
         }
         let terms = self.pairs();
         let Self { neighbors, records, density, afloat: Afloat { bodies, .. }, .. } = &*self;
-        let grips = bodies.beside_liquid(particles, neighbors).flat_map(|(a, b, f)| {
+        let grips = bodies.beside_liquid(particles, neighbors).flat_map(|(body, (a, b, f))| {
             let [v_a, v_b] = [a, b].map(|a| records[a].velocity());
-            terms.grips(particles, (a, b), f, (v_a, v_a - v_b), density[a])
+            terms.grips(particles, (body, a, b), f, (v_a, v_a - v_b), density[a])
         });
         self.afloat.bodies.drags = bodies.drag(particles, self.params.mass(), &self.ranks, grips);
     }
@@ -1112,12 +1116,12 @@ impl Pairs {
         window.add(a, own.sum());
     }
 
-    /// What viscosity does to liquid `a` at solid `b`, as [`add_walls`](Self::add_walls) has it: along the line between them, and in the
+    /// What viscosity does to liquid `a` at solid `b` of `body`, as [`add_walls`](Self::add_walls) has it: along the line between them, and in the
     /// direction of v_ab.
     fn grips<const D: usize>(
         &self,
         particles: &Particles<D>,
-        (a, b): (usize, usize),
+        (body, a, b): (usize, usize, usize),
         f: f64,
         (velocity, v_ab): (Vector<D>, Vector<D>),
         density_a: f64,
@@ -1126,7 +1130,8 @@ impl Pairs {
         let wall = viscosity::wall_factor(particles, particles.original(b), &r_ab, self.slip);
         let square = r_ab.norm_squared();
         let along = square * self.viscosity.rate(v_ab.dot(&r_ab) < 0.0, square, density_a);
-        let grip = |rate: f64, line| Grip { solid: b, velocity, rate: self.mass * f * wall * rate, line };
+        let grip =
+            |rate: f64, line| Grip { solid: b, body, velocity, rate: self.mass * f * wall * rate, line };
         [grip(along, Some(r_ab / square.sqrt())), grip(self.laminar, None)]
     }
 
@@ -1271,6 +1276,7 @@ impl<const D: usize> Scheme<D> for Wcsph<D> {
         drop(rows);
         self.densities(particles);
         self.assess(particles);
+        self.mark_wet(particles);
         self.pressures(particles);
         self.rates(particles);
         self.has_surface = self.ranks.max(self.surface.iter().copied().fold(0.0, f64::max)) > 0.0;
