@@ -422,20 +422,22 @@ pub struct SchemeParams {
     pub kernel: KernelKind,
     /// Smoothing length over particle spacing, h / dx: 1.2; in 2D 2 for `wcsph`, and for `isph_di` without gravity, where errors of the
     /// kernel sum are taken back as fast as the liquid moves and nothing but a wide support keeps them small: at 1.2 `rotating_square`
-    /// runs out of control. With gravity the surface is the worse for it: waves at 0.025 m die three times as fast as at 1.2.
+    /// runs out of control. With gravity the surface is the worse for it: waves at 0.025 m die three times as fast as at 1.2. In 3D 1.5
+    /// for `wcsph_monaghan`, for its smoothed velocities: at 1.2 particles clump.
     pub smoothing_ratio: f64,
     /// Discrete Laplacian of the pressure equation.
     pub laplacian: LaplacianKind,
-    /// Artificial speed of sound in m/s (WCSPH); absent: ten times the greatest speed to be expected.
+    /// Artificial speed of sound in m/s (WCSPH); absent: ten times the greatest speed to be expected, 7.1 times for `wcsph_monaghan` in 3D,
+    /// which makes the sqrt(200 g H) of Monaghan (1994).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sound_speed: Option<f64>,
     /// Coefficient alpha of the artificial viscosity (WCSPH). `wcsph`: 0.02, enough beside the density diffusion, and less
     /// by what the laminar viscosity does already.
     /// `wcsph_monaghan`: 0.1, since at the 0.01 of Monaghan (1994), who smooths velocities as well, the density strays by
-    /// 30 % in the 2D dam break at a spacing of 0.01 m, and at 0.1 by 8 %.
+    /// 30 % in the 2D dam break at a spacing of 0.01 m, and at 0.1 by 8 %; 0.03 in 3D, where it smooths them.
     pub artificial_viscosity: f64,
-    /// epsilon, how much of the velocity of those around it moves a particle beside its own (WCSPH; XSPH of Monaghan 1989); 0, the default,
-    /// leaves it out: see [`wcsph`](crate::scheme::wcsph).
+    /// epsilon, how much of the velocity of those around it moves a particle beside its own (WCSPH; XSPH of Monaghan 1989); 0 leaves it out,
+    /// 0.25 is the default of `wcsph_monaghan` in 3D: see [`wcsph`](crate::scheme::wcsph).
     pub velocity_smoothing: f64,
     /// Form of the density diffusion (`wcsph`).
     pub density_diffusion: DiffusionKind,
@@ -473,14 +475,23 @@ impl SchemeParams {
     /// Defaults of one method in a dimension, for a scene with or without gravity.
     pub fn of(kind: SchemeKind, dimension: usize, weightless: bool) -> Self {
         let wide = kind == SchemeKind::Wcsph || (kind == SchemeKind::IsphDi && weightless);
+        let (plain, smooths) = (kind == SchemeKind::WcsphMonaghan, kind.smooths_velocities(dimension));
         Self {
             kind,
             kernel: KernelKind::WendlandC2,
-            smoothing_ratio: if wide && dimension == 2 { 2.0 } else { 1.2 },
+            smoothing_ratio: match dimension {
+                2 if wide => 2.0,
+                _ if smooths => 1.5,
+                _ => 1.2,
+            },
             laplacian: LaplacianKind::Schwaiger,
             sound_speed: None,
-            artificial_viscosity: if kind == SchemeKind::WcsphMonaghan { 0.1 } else { 0.02 },
-            velocity_smoothing: 0.0,
+            artificial_viscosity: match plain {
+                true if smooths => 0.03,
+                true => 0.1,
+                false => 0.02,
+            },
+            velocity_smoothing: if smooths { 0.25 } else { 0.0 },
             density_diffusion: DiffusionKind::Fourtakas,
             density_diffusion_coefficient: 0.1,
             acoustic_damper: 0.5,
@@ -521,6 +532,12 @@ impl SchemeKind {
     /// Whether it solves a pressure equation.
     pub fn solves(self) -> bool {
         matches!(self, Self::IsphDf | Self::IsphDi)
+    }
+
+    /// Whether its particles move with smoothed velocities by default, and its other defaults go with that: see
+    /// [`wcsph`](crate::scheme::wcsph). In 2D the flood of the plain scheme is in time without.
+    pub fn smooths_velocities(self, dimension: usize) -> bool {
+        self == Self::WcsphMonaghan && dimension == 3
     }
 
     /// The name that a case file or `--scheme` gives it.

@@ -31,13 +31,14 @@
 //! | | `wcsph_monaghan` (Jian et al. 2016: "equal footing") | `wcsph` |
 //! |---|---|---|
 //! | walls | [`crate::boundary::repulsion`] within a spacing | [`crate::boundary::extrapolation`] in all layers, repulsion within 0.85 spacings |
-//! | h / dx | 1.2 | 2 in 2D, 1.2 in 3D |
+//! | h / dx | 1.2, in 3D 1.5 | 2 in 2D, 1.2 in 3D |
 //! | viscosity | alpha in full | of alpha what the laminar viscosity lacks |
 //! | forces without a surface | (3) | (4) |
 //! | shape of the support | ignored | (6) in 2D with a surface |
 //! | density diffusion | none | [`crate::terms::density_diffusion`] |
 //! | acoustic damper | none | (5) |
 //! | walls' share of (2) and of viscosity | none | as the liquid's; no viscosity where it slips |
+//! | smoothed velocities | in 3D, (7) | on request |
 //! | shifting | none | on request, [`crate::terms::shifting`] |
 //! | stepping | predictor and corrector | position Verlet |
 //!
@@ -84,18 +85,22 @@
 //! It works on sound of wavelength l within some (l / h) / (20 chi) periods. `stretching_drop` at R/25 has its centre pressure off
 //! by 3.0 and 1.8 % rms at chi = 0.5 and 1 (largest 7.1 and 4.2 %); its axes and the 2D dam break do not feel it.
 //!
-//! **Smoothed velocities** (XSPH; Monaghan 1989, J. Comput. Phys. 82, 1-15). On request particles move not with v but with
+//! **Smoothed velocities** (XSPH; Monaghan 1989, J. Comput. Phys. 82, 1-15). Particles may move not with v but with
 //!
 //! dr_a/dt = v_a + eps sum_b m / rho_ab (v_b - v_a) W,   rho_ab = (rho_a + rho_b) / 2                (7)
 //!
-//! over the liquid, eps = 0.5 in Monaghan (1994): neighbours do not run through each other, and nothing is dissipated. Less artificial viscosity then
-//! serves, but not in a splash: with the sound of Monaghan (1994), sqrt(200 g H), the plain scheme brings the flood of the 3D dam break at 0.0275 m to the
-//! box in 0.424, 0.420 and 0.419 s with alpha = 0.05, 0.04 and 0.03 (0.448 s with alpha = 0.1, 20 sqrt(g H) and without (7); measured 0.393), but
-//! with h / dx = 1.2 particles clump after the impact, the density is off by 58 % and at 0.0183 m steps shrink to a fifth. With h / dx = 1.5 they do so later: from
-//! 1.2 to 2 s on single ones meet with pressures of 1 to 3 MPa and fly off at 20 m/s, with half the Courant number as well. Continuity (2) does not know where (7) moves them;
-//! with the smoothed velocities in (2) too the 2D front is 11 ms later. A repulsion of particles under tension (Monaghan 2000, J. Comput. Phys. 159, 290-311)
-//! ended the run with h / dx = 1.2 at 0.7 s, out of control. It wants shorter steps too: with h / dx = 1.2 at a Courant number of 0.5 that run gains 120 % of its energy
-//! in 1 s, at 0.3 0.8 %; the 2D dam break at 0.01 m 8.6 and 0.5 %, without (7) 0.5 % at either.
+//! over the liquid: neighbours do not run through each other, and nothing is dissipated. Less artificial viscosity then serves, and floods are
+//! in time. The plain scheme takes eps = 0.25 in 3D, with alpha = 0.03, h / dx = 1.5, a Courant number of 0.375 and the sound of Monaghan (1994), sqrt(200 g H):
+//! the flood of the 3D dam break at 0.0275 m meets the box at 0.421 s (measured 0.393) and stays calm behind it. Without, at alpha = 0.1, h / dx = 1.2 and 20
+//! sqrt(g H), it comes at 0.448 s.
+//!
+//! - eps: 0.1 brings it at 0.425 s, 0.5, that of Monaghan (1994), at 0.419 s; but continuity (2) does not know where (7) moves particles, and with 0.5 single
+//!   ones meet from 1.2 to 2 s on, with pressures of 1 to 3 MPa, and fly off at 20 m/s, at half the Courant number as well. With the smoothed velocities in
+//!   (2) too the 2D front is 11 ms later.
+//! - h / dx = 1.2: with eps = 0.5 particles clump after the impact, the density is off by 58 % and at 0.0183 m steps shrink to a fifth. A repulsion of
+//!   particles under tension (Monaghan 2000, J. Comput. Phys. 159, 290-311) ended that run at 0.7 s, out of control.
+//! - Steps: with eps = 0.5 and h / dx = 1.2 the run gains 120 % of its energy in 1 s at a Courant number of 0.5, 0.8 % at 0.3; the 2D dam break at
+//!   0.01 m 8.6 and 0.5 %, without (7) 0.5 % at either.
 //!
 //! **Position Verlet** (Parshikov et al. 2000). With one neighbour search, at the middle,
 //!
