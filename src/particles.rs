@@ -4,6 +4,7 @@
 //! the fluid may be reordered and shrink; ghosts ([`halo`](crate::halo)) come last, those of solids before those of
 //! fluid.
 
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// A vector in `D` dimensions.
@@ -187,9 +188,15 @@ impl<const D: usize> Particles<D> {
         self.flat.get(b)?.then(|| &self.normal[b])
     }
 
+    /// Largest speed of the particles `some` in m/s.
+    pub fn fastest(&self, some: Range<usize>) -> f64 {
+        let squares = self.velocity[some].par_iter().with_min_len(1024).map(|v| v.norm_squared());
+        squares.reduce(|| 0.0, f64::max).sqrt()
+    }
+
     /// Largest speed of the liquid in m/s.
     pub fn fastest_liquid(&self) -> f64 {
-        self.velocity[self.fluid()].iter().map(|v| v.norm()).fold(0.0, f64::max)
+        self.fastest(self.fluid())
     }
 
     /// Index range of wall particles.

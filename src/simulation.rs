@@ -322,10 +322,10 @@ impl<const D: usize> Simulation<D> {
         let first = if self.scheme.bodies().can_move() { 0 } else { self.particles.solids() };
         self.before.first = first;
         let (position, velocity, pressure, id) = &mut self.before.particles;
-        keep(position, &self.particles.position[first..]);
-        keep(velocity, &self.particles.velocity[first..]);
-        keep(pressure, &self.particles.pressure);
-        keep(id, &self.particles.id[first..]);
+        self.particles.position[first..].clone_into(position);
+        self.particles.velocity[first..].clone_into(velocity);
+        self.particles.pressure.clone_into(pressure);
+        self.particles.id[first..].clone_into(id);
         self.before.scheme = self.scheme.state();
         if self.scheme.bodies().can_move() {
             self.before.bodies = self.scheme.bodies().state();
@@ -430,11 +430,6 @@ impl<const D: usize> Simulation<D> {
         let fates = fluid.map(|a| (a, fate(&particles.position[a])));
         fates.filter(|(_, fate)| *fate != Fate::Stays).collect()
     }
-}
-
-fn keep<T: Copy>(kept: &mut Vec<T>, present: &[T]) {
-    kept.clear();
-    kept.extend_from_slice(present);
 }
 
 /// Exchanges what was kept with what is `present` from `first` on.

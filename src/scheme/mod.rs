@@ -102,8 +102,7 @@ fn drift<const D: usize>(particles: &mut Particles<D>, dt: f64) {
 /// Largest speed in m/s of the liquid and of bodies.
 fn fastest<const D: usize>(particles: &Particles<D>, bodies: &Bodies<D>) -> f64 {
     let first = if bodies.can_move() { 0 } else { particles.solids() };
-    let squares = particles.velocity[first..].par_iter().with_min_len(1024).map(|v| v.norm_squared());
-    squares.reduce(|| 0.0, f64::max).sqrt()
+    particles.fastest(first..particles.owned())
 }
 
 /// Puts the fluid into cell order, without ghosts: neighbours are then close in memory.
