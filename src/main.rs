@@ -42,7 +42,7 @@ fn execute(ranks: Ranks) -> Result<()> {
         Command::Run(args) => {
             let case = args.load_case()?;
             if let Some(count) = args.ranks {
-                parallel::launch(count)?;
+                parallel::launch(count, args.common.threads.unwrap_or(1))?;
             }
             start_log(if ranks.is_first() { args.common.log_level() } else { log::LevelFilter::Off });
             run::run(&args, &case, ranks)

@@ -307,6 +307,33 @@ fn a_light_cylinder_rises_through_very_viscous_liquid() {
 }
 
 /// At 0.02 m the first box, of 100 kg/m3, weighs less than a particle; a negative added mass once threw it at 46 m/s.
+/// A drop that moves in a hole of its own, one cell of the lattice wide: the pools beside it feel its walls through their dummies,
+/// it feels no other liquid, and nothing but the rule for a few caught particles sets the level of its pressure.
+#[test]
+fn a_drop_in_a_hole_stays_tame() {
+    let folder = folder();
+    let block = |min: &str, max: &str| format!("[[box]]\nmin = [{min}]\nmax = [{max}]\n");
+    let water = |min: &str, max: &str| format!("[[fluid.block]]\nmin = [{min}]\nmax = [{max}]\n");
+    let head = "name = \"hole\"\ndimension = 2\nspacing = 0.01\n\
+                [tank]\nmin = [0, 0]\nmax = [0.3, 0.2]\nopen = [\"top\"]\n[time]\nuntil = 0.02\n";
+    let text = [
+        head,
+        &water("0, 0", "0.1, 0.1"),
+        &water("0.17, 0", "0.3, 0.1"),
+        &water("0.13, 0.03", "0.14, 0.04"),
+        "velocity = [0.5, 0.3]\n",
+        &block("0.1, 0", "0.17, 0.03"),
+        &block("0.1, 0.03", "0.13, 0.04"),
+        &block("0.14, 0.03", "0.17, 0.04"),
+        &block("0.1, 0.04", "0.17, 0.2"),
+    ];
+    fs::write(folder.path().join("hole.toml"), text.concat()).unwrap();
+    for scheme in ["isph_df", "isph_di"] {
+        done(&folder, &format!("hole.toml --scheme {scheme} --out {scheme}"));
+        assert_eq!(summary(&folder.path().join(scheme))["retried_steps"], 0, "{scheme}");
+    }
+}
+
 #[test]
 fn a_light_box_goes_with_the_flood() {
     let folder = folder();

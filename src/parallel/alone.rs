@@ -21,7 +21,7 @@ pub fn abort() {}
 ///
 /// # Errors
 /// [`Error::Input`] for more than one.
-pub fn launch(count: usize) -> Result<()> {
+pub fn launch(count: usize, _: usize) -> Result<()> {
     match count {
         1 => Ok(()),
         _ => Err(Error::Input(format!(

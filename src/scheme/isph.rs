@@ -216,7 +216,13 @@ impl<const D: usize> Isph<D> {
                 *moments = surroundings.moments(a);
                 let filled = afloat.fill(&surroundings, particles, lattice, a).unwrap_or(*moments);
                 *crowding = (filled.kernel_sum + lattice.own_share) / lattice.kernel_sum;
-                *weight = criterion.map_or(0.0, |criterion| criterion.weight(&filled, *crowding));
+                let is_liquid = |b: usize| particles.original(b) >= first_fluid;
+                let liquid = surroundings.active(a).filter(|(b, ..)| is_liquid(*b));
+                *weight = match criterion {
+                    None => 0.0,
+                    Some(_) if is_liquid(a) && liquid.take(surface::FEW).count() < surface::FEW => 1.0,
+                    Some(criterion) => criterion.weight(&filled, *crowding),
+                };
             });
         self.halo.refresh(Kinds::All, particles.originals(), &mut self.surface);
     }

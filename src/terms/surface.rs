@@ -9,6 +9,10 @@
 //! between two walls less than a spacing apart for open, although what the walls overfill makes up for the air in the trace. Left closed,
 //! such a particle has a row almost without neighbours: bodies that close in on it give it 7e7 Pa.
 //!
+//! A few particles caught among solids lie on the surface however tightly they are held. Closed, they would be linked with hardly anything
+//! that sets the level of their pressure: in `debris` by ISPH_DI two to four of them between boxes, or driven into one, make the pressure equation
+//! singular. In the corner of a tank a particle of the lattice has 7 neighbours of liquid in 2D and 16 in 3D.
+//!
 //! A scene in which no particle lies on the surface at the start has none: a closed vessel full of liquid, or a
 //! periodic one. There the small voids of a disordered flow must not be taken for one.
 //!
@@ -54,6 +58,10 @@ const TRANSITION: f64 = 0.2;
 /// Density over that of the lattice below which a particle lies on the surface (the "10 %" of Jian et al. 2016), and the width
 /// of the transition above it: the lattice's second row has 0.97 in 2D.
 const DENSITY: (f64, f64) = (0.9, 0.05);
+
+/// A particle with fewer neighbours of liquid lies on the surface. With half as many three together would still be closed, with twice as
+/// many the corners of a tank would be open.
+pub const FEW: usize = 4;
 
 /// How a surface particle is told.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -12,8 +12,11 @@ use sphpetsc::output::checkpoint::{self, Reader};
 /// The program in a folder with the words of a line as its arguments.
 pub fn command(folder: impl AsRef<Path>, line: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sphpetsc"));
+    command.current_dir(folder).args(line.split_whitespace());
     // Ranks of tests have little to save when one of them fails, which Open MPI's launcher waits for, twice.
-    command.current_dir(folder).env("OMPI_MCA_odls_base_sigkill_timeout", "1").args(line.split_whitespace());
+    command.env("OMPI_MCA_odls_base_sigkill_timeout", "1");
+    // Tests that run side by side share the cores.
+    command.env("OMPI_MCA_mpi_yield_when_idle", "1");
     command
 }
 
