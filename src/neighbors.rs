@@ -20,9 +20,10 @@ pub struct Layout {
     pub solid_ghosts: Range<usize>,
     /// Whether the rows of solids list solids as well.
     pub solids_see_solids: bool,
-    /// Whether pairs of liquid are listed once, in the row of the one that is first in cell order, and without W. Ghosts are listed in all
-    /// rows.
+    /// Whether pairs of liquid are listed once, in the row of the one that is first in cell order. Ghosts are listed in all rows.
     pub liquid_once: bool,
+    /// Whether rows of liquid have W.
+    pub liquid_has_kernel: bool,
 }
 
 impl Layout {
@@ -45,14 +46,25 @@ impl Layout {
     /// The same, with pairs of liquid listed once and without W. Pairs are more than caches hold: to find, write and read half of them
     /// takes little more than half the time.
     pub fn with_liquid_once(self) -> Self {
-        Self { liquid_once: true, ..self }
+        Self { liquid_once: true, liquid_has_kernel: false, ..self }
+    }
+
+    /// The same, with W in the rows of liquid if `wanted`.
+    pub fn with_liquid_kernel(self, wanted: bool) -> Self {
+        Self { liquid_has_kernel: wanted, ..self }
     }
 }
 
 impl Default for Layout {
     /// No particles.
     fn default() -> Self {
-        Self { solids: 0..0, solid_ghosts: 0..0, solids_see_solids: true, liquid_once: false }
+        Self {
+            solids: 0..0,
+            solid_ghosts: 0..0,
+            solids_see_solids: true,
+            liquid_once: false,
+            liquid_has_kernel: true,
+        }
     }
 }
 
@@ -419,7 +431,8 @@ impl<const D: usize> Neighbors<D> {
         support: f64,
         threshold: impl Fn(usize) -> f64 + Sync,
     ) {
-        let Layout { solids, solid_ghosts, solids_see_solids, liquid_once } = layout.clone();
+        let Layout { solids, solid_ghosts, solids_see_solids, liquid_once, liquid_has_kernel } =
+            layout.clone();
         let (count, first_fluid) = (solid_ghosts.start, solids.end);
         let (fluid, ghosts) = (first_fluid..count, solid_ghosts.end..position.len());
         // Where solids see liquid alone, those beyond a support of it need not be looked at.
@@ -451,7 +464,7 @@ impl<const D: usize> Neighbors<D> {
             [&mut *near_liquid, near_ghosts, near_solids].into_iter().for_each(|near| near.cell = None);
             let mut end = 0;
             let rows = c * CHUNK..((c + 1) * CHUNK).min(count);
-            let keeps = !liquid_once || rows.start < first_fluid;
+            let keeps = liquid_has_kernel || rows.start < first_fluid;
             (*keeps_kernel, *span) = (keeps, rows.start.max(first_fluid)..rows.end.max(first_fluid));
             for (a, r_a) in rows.clone().zip(&position[rows]) {
                 let (least, before) = (threshold(a), end);

@@ -9,7 +9,7 @@
 //! with the artificial viscosity Pi of [`crate::terms::artificial_viscosity`]. Forces of a pair are opposite and equal, and
 //! (2) and (3) are each other's adjoint: together they keep momentum, and energy but for the viscosity.
 //!
-//! All sums over liquid take each pair once, for both ([`crate::pair_sums`]). Only shifting, (7), the slopes of Antuono et al. and the start want whole
+//! All sums over liquid take each pair once, for both ([`crate::pair_sums`]). Only shifting, the slopes of Antuono et al. and the start want whole
 //! rows, a second search.
 //!
 //! The laminar viscosity, of the form that [`crate::terms::viscosity`] gives the scene, adds to (3). Ghosts beyond periodic sides
@@ -249,6 +249,8 @@ pub struct Wcsph<const D: usize> {
     /// Of matrices, where Eq. (6) is in force.
     matrix_sums: PairSums<Lines<D>>,
     rate_sums: PairSums<Share>,
+    /// Of Eq. (7).
+    smoothing_sums: PairSums<Vector<D>>,
     /// All but solids without liquid neighbours.
     beside_liquid: Vec<bool>,
     rates: Vec<Rates<D>>,
@@ -300,6 +302,7 @@ impl<const D: usize> Wcsph<D> {
             continuity_sums: PairSums::new(0.0),
             matrix_sums: PairSums::new(Lines([Lanes::splat(0.0); D])),
             rate_sums: PairSums::new(Share::default()),
+            smoothing_sums: PairSums::new(Vector::zeros()),
             beside_liquid: vec![],
             rates: vec![],
             before: vec![],
@@ -341,7 +344,10 @@ impl<const D: usize> Wcsph<D> {
             _ => f64::INFINITY,
         };
         let (kernel, h) = (self.params.kernel, self.params.smoothing_length());
-        let layout = Layout::of(particles).with_solids_blind_to_solids().with_liquid_once();
+        let layout = Layout::of(particles)
+            .with_solids_blind_to_solids()
+            .with_liquid_once()
+            .with_liquid_kernel(self.method.velocity_smoothing > 0.0);
         self.neighbors.search(kernel, h, &particles.position, &layout, threshold);
         self.beside_liquid.clear();
         self.beside_liquid.resize(solids, false);
@@ -608,7 +614,7 @@ impl<const D: usize> Wcsph<D> {
 
     /// Rows and corrections that the step needs, where it takes place.
     fn assess(&mut self, particles: &Particles<D>) {
-        if self.wants_moments() || self.method.velocity_smoothing > 0.0 {
+        if self.wants_moments() {
             self.find_rows(particles);
         }
         self.pack(particles);
@@ -780,20 +786,23 @@ impl<const D: usize> Wcsph<D> {
     /// Liquid moves on with the smoothed velocity, Eq. (7).
     fn smooth(&mut self, particles: &mut Particles<D>, dt: f64) {
         self.halo.refresh(Kinds::Liquid, particles.originals(), &mut self.density);
-        let (mut moves, first) = (std::mem::take(&mut self.moves), particles.solids());
-        moves.resize(particles.owned() - first, (Vector::zeros(), Vector::zeros()));
-        let (neighbors, velocity, density) = (&self.rows, &particles.velocity, &self.density);
         let share = 2.0 * self.method.velocity_smoothing * self.params.mass() * dt;
-        moves.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, (dr, dv))| {
-            let a = first + k;
-            let pull =
-                |(b, w, _): (usize, f64, f64)| w / (density[a] + density[b]) * (velocity[b] - velocity[a]);
-            let liquid = neighbors.row(a).split().0;
-            (*dr, *dv) = (share * liquid.iter().map(pull).sum::<Vector<D>>(), Vector::zeros());
+        let Self { neighbors, density, smoothing_sums, moves, .. } = self;
+        let velocity = &particles.velocity;
+        let sums = smoothing_sums.collect(neighbors, |a, window| {
+            let mut own = Vector::zeros();
+            for (b, w, _) in neighbors.row(a).split().0.iter() {
+                let pull = w / (density[a] + density[b]) * (velocity[b] - velocity[a]);
+                own += pull;
+                window.add(b, -pull);
+            }
+            window.add(a, own);
         });
-        Shifting::apply(particles, &moves);
+        moves.resize(sums.len(), (Vector::zeros(), Vector::zeros()));
+        let each = moves.par_iter_mut().zip(sums).with_min_len(1024);
+        each.for_each(|(moves, sum)| *moves = (share * sum, Vector::zeros()));
+        Shifting::apply(particles, moves);
         self.halo.place(particles);
-        self.moves = moves;
     }
 
     /// The pressures that belong to the final densities, and what the step found out.
