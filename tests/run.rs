@@ -306,7 +306,6 @@ fn a_light_cylinder_rises_through_very_viscous_liquid() {
     assert_eq!(swings, 0, "{speeds:?}");
 }
 
-/// At 0.02 m the first box, of 100 kg/m3, weighs less than a particle; a negative added mass once threw it at 46 m/s.
 /// A drop that moves in a hole of its own, one cell of the lattice wide: the pools beside it feel its walls through their dummies,
 /// it feels no other liquid, and nothing but the rule for a few caught particles sets the level of its pressure.
 #[test]
@@ -334,6 +333,7 @@ fn a_drop_in_a_hole_stays_tame() {
     }
 }
 
+/// At 0.02 m the first box, of 100 kg/m3, weighs less than a particle; a negative added mass once threw it at 46 m/s.
 #[test]
 fn a_light_box_goes_with_the_flood() {
     let folder = folder();

@@ -113,8 +113,7 @@ impl Ranks {
 
     /// Threads for this rank where nobody asked for a number: its share of the machine's cores, or on one rank what rayon takes.
     pub fn threads(&self) -> Option<usize> {
-        let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
-        self.are_several().then_some((cores / self.here).max(1))
+        self.are_several().then_some((cores() / self.here).max(1))
     }
 
     /// Whether others take part.
@@ -271,6 +270,11 @@ impl<const R: usize, const C: usize> Packed for SMatrix<f64, R, C> {
     fn unpack(words: &[f64]) -> Self {
         Self::from_column_slice(words)
     }
+}
+
+/// Cores that this process may use.
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 #[cfg(test)]

@@ -79,8 +79,7 @@ pub fn launch(count: usize, threads: usize) -> Result<()> {
     let program = std::env::current_exe().map_err(|error| Error::io("this program", error))?;
     let mut command = Command::new("mpiexec");
     command.arg("-n").arg(count.to_string()).arg(program).args(std::env::args_os().skip(1));
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let shares_cores = (count * threads > cores).then_some(SHARES_CORES);
+    let shares_cores = (count * threads > super::cores()).then_some(SHARES_CORES);
     for (name, value) in ENVIRONMENT.into_iter().chain(shares_cores) {
         if std::env::var_os(name).is_none() {
             command.env(name, value);

@@ -787,7 +787,7 @@ impl<const D: usize> Wcsph<D> {
     fn smooth(&mut self, particles: &mut Particles<D>, dt: f64) {
         self.halo.refresh(Kinds::Liquid, particles.originals(), &mut self.density);
         let share = 2.0 * self.method.velocity_smoothing * self.params.mass() * dt;
-        let Self { neighbors, density, smoothing_sums, moves, .. } = self;
+        let Self { neighbors, density, smoothing_sums, .. } = self;
         let velocity = &particles.velocity;
         let sums = smoothing_sums.collect(neighbors, |a, window| {
             let mut own = Vector::zeros();
@@ -798,10 +798,9 @@ impl<const D: usize> Wcsph<D> {
             }
             window.add(a, own);
         });
-        moves.resize(sums.len(), (Vector::zeros(), Vector::zeros()));
-        let each = moves.par_iter_mut().zip(sums).with_min_len(1024);
-        each.for_each(|(moves, sum)| *moves = (share * sum, Vector::zeros()));
-        Shifting::apply(particles, moves);
+        let fluid = particles.fluid();
+        let each = particles.position[fluid].par_iter_mut().zip(sums).with_min_len(1024);
+        each.for_each(|(r, sum)| *r += share * sum);
         self.halo.place(particles);
     }
 
